@@ -1,0 +1,40 @@
+"""Test configuration: strict promotion, runtime shape checks, warnings as errors, fixed seeds.
+
+The import hook must be installed before `jaxrefl` is imported, so it stands at the top of this file.
+"""
+
+import os
+
+from jaxtyping import install_import_hook
+
+install_import_hook(["jaxrefl", "scenes"], "beartype.beartype")
+
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from hypothesis import HealthCheck, settings  # noqa: E402
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+settings.register_profile(
+    "default",
+    max_examples=25,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("thorough", parent=settings.get_profile("default"), max_examples=500)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+@pytest.fixture
+def key() -> jax.Array:
+    """The random key every test starts from."""
+    return jax.random.key(0)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The NumPy generator every test starts from."""
+    return np.random.default_rng(0)
