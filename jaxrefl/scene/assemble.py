@@ -41,7 +41,7 @@ def assemble(description: Description) -> Scene:
     object_rows = [objects.index(part.name) for part in parts]
     mesh = _as_mesh(merge(parts, material_rows, object_rows, notes, textured=bool(images)))
     textures = build_textures(images) if images else None
-    lights = build_lights(description, mesh, materials)
+    lights = build_lights(description, mesh, materials, textures=textures)
     vertices = np.asarray(mesh.vertices)
     return Scene(
         mesh=mesh,

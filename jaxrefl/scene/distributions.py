@@ -1,0 +1,41 @@
+"""Weights -> discrete distributions that float32 random numbers sample exactly as their table says.
+
+Host code used by `environment.py` and `lights.py`. A cumulative table in float32 cannot resolve a probability below
+2^-24, so a map with a bright sun would be sampled with other probabilities than it divides by. Here probabilities are
+whole multiples of 2^-23, the step of float32 random numbers in [0, 1): table, samples and densities agree bit by bit.
+"""
+
+import numpy as np
+
+QUANTA = 2**23
+"""Number of steps that the cumulative probability takes from 0 to 1."""
+
+
+def distribution(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Discrete distributions along the last axis, rounded to multiples of 2^-23.
+
+    Args:
+        weights: [*b n] finite and >= 0, any scale.
+    Returns:
+        Cumulative probability [*b n] (the last element is 1) and probability [*b n], both float32 and exact.
+    Raises:
+        ValueError: If there are more than 2^22 entries; each must be able to get a probability of its own.
+    Edge cases: a positive weight always has a positive probability and a weight of 0 has none; if all are 0, all
+        entries are equally likely.
+    """
+    weights = np.asarray(weights, np.float64)
+    if not 1 <= weights.shape[-1] <= QUANTA // 2:
+        raise ValueError(f"weights: expected between 1 and {QUANTA // 2} entries, got {weights.shape[-1]}")
+    rows = weights.reshape(-1, weights.shape[-1])
+    rows = np.where(rows.max(-1, keepdims=True) > 0, rows, 1.0)
+    relative = rows / rows.max(-1, keepdims=True)  # the sum of huge weights must not overflow
+    share = relative / relative.sum(-1, keepdims=True)
+    # The entries that round up to one quantum take theirs from the others, in proportion to what those have to spare.
+    quanta = np.where(rows > 0, np.maximum(np.rint(share * QUANTA), 1), 0).astype(np.int64)
+    excess = quanta.sum(-1, keepdims=True) - QUANTA
+    spare = np.where(rows > 0, quanta - 1, 0).cumsum(-1)
+    taken = excess * spare // spare[:, -1:]
+    quanta -= np.diff(taken, prepend=0, axis=-1)
+    cdf = quanta.cumsum(-1) / QUANTA
+    shape = weights.shape
+    return cdf.astype(np.float32).reshape(shape), (quanta / QUANTA).astype(np.float32).reshape(shape)

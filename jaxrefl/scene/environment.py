@@ -1,0 +1,185 @@
+"""Light from infinitely far away: latitude-longitude maps, their lookup and their importance sampling.
+
+`build_environment` (host) makes the tables; `environment_radiance`, `sample_environment` and `environment_pdf` are pure
+JAX functions of them. Lookup is bilinear. The sampling density is constant over each texel and proportional to the
+integral of the *bilinear* radiance over it, so that it is positive wherever the radiance is. A map of one texel is a
+constant sky: it costs no lookup.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrefl._types import Environment
+from jaxrefl.core import direction_from_latlong, latlong_from_direction, lerp
+from jaxrefl.scene.description import Sky
+from jaxrefl.scene.distributions import distribution
+from jaxrefl.scene.errors import SceneError
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_BELOW_ONE = 1 - 2.0**-24
+
+
+def build_environment(sky: Sky) -> Environment:
+    r"""Tables of an environment map.
+
+    The probability of a texel is proportional to $\Omega_{ij} \int L$, with the solid angle
+    $\Omega_{ij} = \frac{2\pi}{w}\,(\cos\frac{\pi i}{h} - \cos\frac{\pi (i + 1)}{h})$ and the luminance of the
+    bilinear radiance averaged over the texel.
+
+    Args:
+        sky: Radiance map and its rotation.
+    Returns:
+        The environment.
+    Raises:
+        SceneError: If the map has another shape than [eh ew 3], holds values that are not finite or negative, or the
+            transform is not a rotation.
+    Edge cases: a black map is sampled uniformly over the sphere.
+    Source: [PBRT4] §12.5.2.
+    Differs from the source: the tables are exact multiples of 2^-23; see `distributions.py`.
+    """
+    radiance = np.asarray(sky.radiance, np.float32)
+    if radiance.ndim != 3 or radiance.shape[-1] != 3 or 0 in radiance.shape:
+        raise SceneError(f"{sky.name}: expected a radiance map of shape [h w 3], got {list(radiance.shape)}")
+    if not np.isfinite(radiance).all() or (radiance < 0).any():
+        raise SceneError(f"{sky.name}: expected finite radiance >= 0, got {radiance.min()} to {radiance.max()}")
+    rotation = np.asarray(sky.world_from_map, np.float64)
+    if (
+        rotation.shape != (3, 3)
+        or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+        or np.linalg.det(rotation) < 0
+    ):
+        raise SceneError(f"{sky.name}: expected world_from_map to be a 3x3 rotation, got {rotation.tolist()}")
+
+    luminance = _texel_means(radiance.astype(np.float64) @ _LUMINANCE)
+    height, width = luminance.shape
+    edges = np.cos(np.pi * np.arange(height + 1) / height)
+    weights = luminance * (edges[:-1] - edges[1:])[:, None]
+    if not weights.any():
+        weights = np.broadcast_to((edges[:-1] - edges[1:])[:, None], weights.shape)
+    row_cdf, row_probability = distribution(weights.sum(-1))
+    column_cdf, column_probability = distribution(weights)
+    return Environment(
+        radiance=jnp.asarray(radiance),
+        world_from_map=jnp.asarray(rotation, jnp.float32),
+        row_cdf=jnp.asarray(row_cdf),
+        column_cdf=jnp.asarray(column_cdf),
+        probability=jnp.asarray(row_probability[:, None] * column_probability),
+    )
+
+
+def environment_radiance(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Radiance from a direction, bilinear in the map.
+
+    Args:
+        environment: The map.
+        direction: Unit directions away from the scene, world space.
+    Returns:
+        Linear radiance.
+    Edge cases: columns wrap around, rows end at the poles; the result stays within the range of the map's values.
+    """
+    if environment.probability.size == 1:
+        return jnp.broadcast_to(environment.radiance[0, 0], direction.shape)
+    return _bilinear(environment.radiance, latlong_from_direction(_to_map(environment, direction)))
+
+
+def sample_environment(
+    environment: Environment, u: Float[Array, "*b 2"]
+) -> tuple[Float[Array, "*b 3"], Float[Array, "*b 3"], Float[Array, "*b"]]:
+    """Directions in proportion to the map's luminance.
+
+    Args:
+        environment: The map.
+        u: Random numbers in [0, 1)^2; stratified ones give stratified directions.
+    Returns:
+        Unit directions in world space, the radiance from there, and the probability density per solid angle (> 0).
+    Source: [PBRT4] §12.5.2; inversion of the marginal and the conditional table.
+    """
+    height, width = environment.probability.shape
+    row, v = _invert(environment.row_cdf, jnp.zeros(u.shape[:-1], jnp.int32), height, u[..., 1])
+    column, x = _invert(environment.column_cdf.reshape(-1), row * width, width, u[..., 0])
+    # Uniform in solid angle within the texel: the squares of sin and cos of half the polar angle are linear in v.
+    half_angle = np.pi / (2 * height) * np.arange(height + 1)
+    sin2, cos2 = (jnp.asarray(f(half_angle) ** 2, u.dtype) for f in (np.sin, np.cos))
+    half_polar = jnp.arctan2(jnp.sqrt(lerp(sin2[row], sin2[row + 1], v)), jnp.sqrt(lerp(cos2[row], cos2[row + 1], v)))
+    uv = jnp.stack([(column.astype(x.dtype) + x) / width, half_polar * (2 / np.pi)], -1)
+    direction = _to_world(environment, direction_from_latlong(uv))
+    if height * width == 1:
+        radiance = jnp.broadcast_to(environment.radiance[0, 0], direction.shape)
+    else:
+        radiance = _bilinear(environment.radiance, uv)
+    return direction, radiance, _density(environment, row, column)
+
+
+def environment_pdf(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b"]:
+    """Probability density with which `sample_environment` finds a direction.
+
+    Args:
+        environment: The map.
+        direction: Unit directions, world space.
+    Returns:
+        Density per solid angle; integrates to 1 over the sphere.
+    Edge cases: 0 where the map is black around the direction.
+    """
+    height, width = environment.probability.shape
+    uv = latlong_from_direction(_to_map(environment, direction))
+    column = jnp.clip((uv[..., 0] * width).astype(jnp.int32), 0, width - 1)
+    row = jnp.clip((uv[..., 1] * height).astype(jnp.int32), 0, height - 1)
+    return _density(environment, row, column)
+
+
+def _texel_means(luminance: np.ndarray) -> np.ndarray:
+    """Mean of the bilinear interpolant over each texel: (1, 6, 1) / 8 along both axes."""
+    rows = np.pad(luminance, ((1, 1), (0, 0)), mode="edge")
+    luminance = (rows[:-2] + 6 * rows[1:-1] + rows[2:]) / 8
+    columns = np.pad(luminance, ((0, 0), (1, 1)), mode="wrap")
+    return (columns[:, :-2] + 6 * columns[:, 1:-1] + columns[:, 2:]) / 8
+
+
+def _density(environment: Environment, row: Int[Array, "*b"], column: Int[Array, "*b"]) -> Float[Array, "*b"]:
+    height, width = environment.probability.shape
+    # cos a - cos b as a product, which does not cancel near the poles.
+    solid_angle = (4 * np.pi / width * np.sin(np.pi / (2 * height))) * jnp.sin(
+        np.pi / height * (row.astype(jnp.float32) + 0.5)
+    )
+    return environment.probability.reshape(-1)[row * width + column] / solid_angle
+
+
+def _invert(
+    cdf: Float[Array, "n"], start: Int[Array, "*b"], count: int, u: Float[Array, "*b"]
+) -> tuple[Int[Array, "*b"], Float[Array, "*b"]]:
+    """First entry of `cdf[start : start + count]` above u, and where u lies in it, in [0, 1)."""
+
+    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        middle = (low + high) // 2
+        above = cdf[start + middle] > u
+        return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
+
+    u, first = jnp.minimum(u, _BELOW_ONE), jnp.zeros_like(start)
+    index, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (first, first + (count - 1)))
+    below = jnp.where(index > 0, cdf[start + jnp.maximum(index - 1, 0)], 0)
+    width = cdf[start + index] - below
+    return index, jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)
+
+
+def _bilinear(image: Float[Array, "h w c"], uv: Float[Array, "*b 2"]) -> Float[Array, "*b c"]:
+    height, width, channels = image.shape
+    texels = image.reshape(-1, channels)
+    x, y = uv[..., 0] * width - 0.5, jnp.clip(uv[..., 1] * height - 0.5, 0, height - 1)
+    column, row = jnp.floor(x).astype(jnp.int32), jnp.minimum(y.astype(jnp.int32), max(height - 2, 0))
+    fx, fy = (x - column.astype(x.dtype))[..., None], (y - row.astype(y.dtype))[..., None]
+    left, right = column % width, (column + 1) % width
+    upper, lower = row * width, jnp.minimum(row + 1, height - 1) * width
+    above = texels[upper + left] * (1 - fx) + texels[upper + right] * fx
+    below = texels[lower + left] * (1 - fx) + texels[lower + right] * fx
+    return above * (1 - fy) + below * fy
+
+
+def _to_map(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    return jnp.matmul(direction, environment.world_from_map, precision=jax.lax.Precision.HIGHEST)
+
+
+def _to_world(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    return jnp.matmul(direction, environment.world_from_map.T, precision=jax.lax.Precision.HIGHEST)

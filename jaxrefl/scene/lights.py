@@ -1,0 +1,152 @@
+"""Everything that emits: Description + Mesh + Materials -> Lights.
+
+Host code of `assemble`: the table of emissive triangles with a distribution proportional to their power, the arrays of
+punctual lights, the environment map, the ambient term. What a scene does not have is None.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrefl._types import AreaLights, Lights, Materials, Mesh, PunctualLights, Textures
+from jaxrefl.scene.description import Description, PunctualLight
+from jaxrefl.scene.distributions import distribution
+from jaxrefl.scene.environment import build_environment
+from jaxrefl.scene.errors import SceneError
+from jaxrefl.scene.textures import texture_rgba
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_FLOOR = 0.1
+"""Share of an emission texture's mean over the whole material that every triangle keeps, so that a bright spot that the
+points of `_texture_means` miss is still sampled."""
+
+
+def build_lights(
+    description: Description, mesh: Mesh, materials: Materials, *, textures: Textures | None = None
+) -> Lights:
+    """The lights of a scene.
+
+    Args:
+        description: Its `lights`, `sky` and `ambient` are read.
+        mesh: All triangles; those whose material emits become area lights.
+        materials: The table `mesh.material` points into.
+        textures: The images `materials.emission_texture` points into; None if there are none.
+    Returns:
+        The lights; a kind that does not occur, or only with zero power, is None.
+    Raises:
+        SceneError: If a light or the ambient term has values that are not finite, negative or out of range, the sky is
+            not valid, or a material has an emission texture and `textures` is None.
+    """
+    ambient = np.asarray(description.ambient, np.float64)
+    if ambient.shape != (3,) or not np.isfinite(ambient).all() or (ambient < 0).any():
+        raise SceneError(
+            f"scene {description.name!r}: expected a finite ambient colour >= 0, got {description.ambient}"
+        )
+    return Lights(
+        ambient=jnp.asarray(ambient, jnp.float32),
+        area=_area_lights(mesh, materials, textures),
+        punctual=_punctual_lights([_checked(light) for light in description.lights]),
+        environment=None if description.sky is None else build_environment(description.sky),
+    )
+
+
+def _area_lights(mesh: Mesh, materials: Materials, textures: Textures | None) -> AreaLights | None:
+    r"""Emissive triangles with probability proportional to area times mean emitted luminance."""
+    emission = np.asarray(materials.emission, np.float64)
+    material = np.asarray(mesh.material)
+    triangle = np.flatnonzero((emission.max(axis=1) > 0)[material])
+    material = material[triangle]
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)[triangle]]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1) / 2
+    power = area * (emission[material] * _texture_factors(mesh, materials, textures, triangle, area) @ _LUMINANCE)
+
+    kept = power > 0
+    if not kept.any():
+        return None
+    if kept.sum() > 2**22:
+        raise SceneError(f"lights: expected at most {2**22} emissive triangles, got {kept.sum()}")
+    cdf, probability = distribution(power[kept])
+    return AreaLights(
+        triangle=jnp.asarray(triangle[kept], jnp.int32),
+        cdf=jnp.asarray(cdf),
+        probability=jnp.asarray(probability),
+        area=jnp.asarray(area[kept], jnp.float32),
+    )
+
+
+def _texture_factors(
+    mesh: Mesh, materials: Materials, textures: Textures | None, triangle: np.ndarray, area: np.ndarray
+) -> np.ndarray:
+    """Mean of the emission texture over each emissive triangle: [e 3], 1 without a texture."""
+    factors = np.ones((len(triangle), 3))
+    material = np.asarray(mesh.material)[triangle]
+    texture = np.asarray(materials.emission_texture)[material]
+    textured = np.flatnonzero(texture >= 0)
+    if not len(textured):
+        return factors
+    if textures is None or mesh.uv is None:
+        missing = "textures" if textures is None else "texture coordinates"
+        raise SceneError(f"lights: a material has an emission texture, but the scene has no {missing}")
+    corner_uv = np.asarray(mesh.uv)[np.asarray(mesh.faces)[triangle[textured]]]
+    own = _texture_means(textures, texture[textured], corner_uv)
+    for row in np.unique(material[textured]):
+        same = material[textured] == row
+        total = area[textured][same].sum()
+        whole = (own[same] * area[textured][same, None]).sum(0) / (total if total > 0 else 1)
+        own[same] = (1 - _FLOOR) * own[same] + _FLOOR * whole
+    factors[textured] = own
+    return factors
+
+
+def _texture_means(textures: Textures, texture: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
+    """Texture colour averaged over 16 points of each triangle [e 3 2]: the centres of 16 congruent parts of it."""
+    third = 1 / 12
+    parts = [(i / 4 + third, j / 4 + third) for i in range(4) for j in range(4 - i)]
+    parts += [(i / 4 + 2 * third, j / 4 + 2 * third) for i in range(3) for j in range(3 - i)]
+    lookup = eqx.filter_jit(texture_rgba)
+    index, total = jnp.asarray(texture, jnp.int32), np.zeros((len(texture), 3))
+    for u, v in parts:
+        uv = corner_uv[:, 0] * (1 - u - v) + corner_uv[:, 1] * u + corner_uv[:, 2] * v
+        total += np.asarray(lookup(textures, index, jnp.asarray(uv, jnp.float32)))[:, :3]
+    return total / len(parts)
+
+
+def _checked(light: PunctualLight) -> PunctualLight:
+    """Refuse a light that has no meaning."""
+    where = f"light {light.name!r}"
+    for field in ("intensity", "position", "direction"):
+        value = np.asarray(getattr(light, field), np.float64)
+        if value.shape != (3,) or not np.isfinite(value).all():
+            raise SceneError(f"{where}: expected {field} to be three finite numbers, got {getattr(light, field)}")
+    if min(light.intensity) < 0:
+        raise SceneError(f"{where}: expected an intensity >= 0, got {light.intensity}")
+    if not any(light.direction):
+        raise SceneError(f"{where}: expected a direction, got the zero vector")
+    if not -2 <= light.cos_outer <= light.cos_inner <= 1:
+        raise SceneError(f"{where}: expected cos_outer <= cos_inner <= 1, got {light.cos_outer} and {light.cos_inner}")
+    if not 0 <= light.angular_radius < np.pi / 2:
+        raise SceneError(f"{where}: expected an angular radius from 0 to pi/2 (excluded), got {light.angular_radius}")
+    return light
+
+
+def _punctual_lights(lights: list[PunctualLight]) -> PunctualLights | None:
+    lights = [light for light in lights if any(light.intensity)]
+    if not lights:
+        return None
+    direction = np.array([light.direction for light in lights], np.float64)
+    direction /= np.abs(direction).max(-1, keepdims=True)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+
+    def column(field: str):
+        return jnp.asarray([getattr(light, field) for light in lights], jnp.float32)
+
+    directional = jnp.asarray([light.directional for light in lights])
+    return PunctualLights(
+        position=jnp.where(directional[:, None], 0, column("position")),
+        direction=jnp.asarray(direction, jnp.float32),
+        intensity=column("intensity"),
+        directional=directional,
+        cos_inner=column("cos_inner"),
+        cos_outer=column("cos_outer"),
+        angular_radius=column("angular_radius"),
+    )
