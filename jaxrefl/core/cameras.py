@@ -1,7 +1,7 @@
 """Pinhole cameras: construction, resizing, projection.
 
-`Camera` looks along its -Z axis with +Y up; pixel (column, row) has its centre at (column + 0.5, row + 0.5) and row 0 is
-on top, so image y grows downwards while camera y grows upwards.
+`Camera` looks along its -Z axis with +Y up; pixel (column, row) has its centre at (column + 0.5, row + 0.5) and row 0
+is on top, so image y grows downwards while camera y grows upwards.
 """
 
 import math
@@ -72,7 +72,9 @@ def look_at(eye, target, *, up=(0.0, 1.0, 0.0), fov_y: float = 45.0, size: Size 
     backward = eye - target
     right = np.cross(up, backward)
     if not np.isfinite(right).all() or np.linalg.norm(right) < 1e-9 * np.linalg.norm(up) * np.linalg.norm(backward):
-        raise ValueError(f"look_at: eye {eye.tolist()}, target {target.tolist()}, up {up.tolist()} span no camera frame")
+        raise ValueError(
+            f"look_at: eye {eye.tolist()}, target {target.tolist()}, up {up.tolist()} span no camera frame"
+        )
     if np.linalg.norm(right) == 0:
         raise ValueError(f"look_at: eye and target coincide at {eye.tolist()}")
     backward, right = backward / np.linalg.norm(backward), right / np.linalg.norm(right)
@@ -115,7 +117,9 @@ def project(camera: Camera, p: Float[Array, "*b 3"]) -> tuple[Float[Array, "*b 2
     depth = -z
     front = depth > 0
     inverse = jnp.where(front, 1 / jnp.where(front, depth, 1), 0)
-    xy = jnp.stack([camera.centre[0] + camera.focal[0] * x * inverse, camera.centre[1] - camera.focal[1] * y * inverse], -1)
+    xy = jnp.stack(
+        [camera.centre[0] + camera.focal[0] * x * inverse, camera.centre[1] - camera.focal[1] * y * inverse], -1
+    )
     return xy, depth
 
 
