@@ -11,7 +11,7 @@ written down as its fill value and is always finite.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int, UInt8
@@ -242,14 +242,15 @@ class Scene(eqx.Module):
     names: Names = eqx.field(static=True)
 
 
+@runtime_checkable
 class Tracer(Protocol):
     """Answers ray queries; see `jaxrefl.rays.EmbreeTracer` and `jaxrefl.rays.BruteTracer`."""
 
     rays: int
     """How many rays have been cast so far."""
 
-    def closest(self, rays: Rays) -> Hits:
-        """Closest hit of each ray."""
+    def closest(self, rays: Rays, *, active: Bool[Array, "*b"] | None = None) -> Hits:
+        """Closest hit of each ray; rays that are not `active` are not cast and come back as misses."""
         ...
 
     def occluded(self, rays: Rays, t_max: Float[Array, "*b"]) -> Bool[Array, "*b"]:
@@ -264,6 +265,8 @@ class GBuffer(eqx.Module):
     """True where the ray hit a surface."""
     p: Float[Array, "*b 3"]
     """Position, world space; fill 0."""
+    p_error: Float[Array, "*b"]
+    """Bound on the rounding error of `p`, world units, for `rays.offset_origin`; fill 0."""
     n: Float[Array, "*b 3"]
     """Geometric unit normal on the viewer's side; fill (0, 0, 1)."""
     ns: Float[Array, "*b 3"]
@@ -299,21 +302,21 @@ class GBuffer(eqx.Module):
 
 
 class Reflection(eqx.Module):
-    """What every technique returns: light that arrives at a surface from the reflected scene."""
+    """What every technique returns, usually [h w]: light that arrives at a surface from the reflected scene."""
 
-    radiance: Float[Array, "h w 3"]
+    radiance: Float[Array, "*b 3"]
     """Incoming radiance, averaged over the specular lobe, *before* Fresnel and specular colour; fill 0."""
-    valid: Bool[Array, "h w"]
+    valid: Bool[Array, "*b"]
     """True where the pixel shows a reflective surface and the technique knows its reflection."""
-    source: Int[Array, "h w"]
+    source: Int[Array, "*b"]
     """Where the radiance comes from, a `jaxrefl.Source` code."""
-    confidence: Float[Array, "h w"]
+    confidence: Float[Array, "*b"]
     """How far the technique trusts the pixel, 0 to 1; fill 0."""
-    p: Float[Array, "h w 3"]
+    p: Float[Array, "*b 3"]
     """Reflected point, world space; fill 0 where `source` is NONE or ENVIRONMENT."""
-    t: Float[Array, "h w"]
+    t: Float[Array, "*b"]
     """Distance from the reflector to the reflected point, world units; fill 0 as for `p`."""
-    transmitted: Float[Array, "h w 3"] | None = None
+    transmitted: Float[Array, "*b 3"] | None = None
     """Radiance that arrives through the surface along the refracted ray, *before* the transmission weight; fill 0;
     None: the scene has no refractive material."""
 

@@ -1,0 +1,12 @@
+from .gbuffer import build_gbuffer as build_gbuffer
+from .gbuffer import look as look
+from .specular import diffuse_albedo as diffuse_albedo
+from .specular import keep_above as keep_above
+from .specular import mirror_direction as mirror_direction
+from .specular import reflective as reflective
+from .specular import refractive as refractive
+from .specular import sample_reflection as sample_reflection
+from .specular import sample_refraction as sample_refraction
+from .specular import specular_colour as specular_colour
+from .specular import specular_weight as specular_weight
+from .specular import transmission_weight as transmission_weight

@@ -1,0 +1,5 @@
+from . import envmap as envmap
+from . import raytrace as raytrace
+from ._registry import TECHNIQUES as TECHNIQUES
+from ._shape import Info as Info
+from ._shape import Technique as Technique

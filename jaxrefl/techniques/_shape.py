@@ -4,7 +4,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Shaped
+
+from jaxrefl._status import Source
+from jaxrefl._types import GBuffer, Reflection
 
 
 class Info(eqx.Module):
@@ -33,3 +37,24 @@ class Technique(NamedTuple):
     """Traced knobs."""
     Options: type
     """Static knobs."""
+
+
+@eqx.filter_jit
+def no_reflection(gbuffer: GBuffer) -> Reflection:
+    """A reflection that is invalid everywhere: what a technique starts from.
+
+    Args:
+        gbuffer: G-buffer of the frame.
+    Returns:
+        Fill values of the G-buffer's shape.
+    """
+    zero = jnp.zeros_like(gbuffer.t)
+    return Reflection(
+        radiance=jnp.zeros_like(gbuffer.p),
+        valid=jnp.zeros_like(gbuffer.valid),
+        source=jnp.full(gbuffer.t.shape, int(Source.NONE), jnp.int32),
+        confidence=zero,
+        p=jnp.zeros_like(gbuffer.p),
+        t=zero,
+        transmitted=None if gbuffer.transmission is None else jnp.zeros_like(gbuffer.p),
+    )

@@ -1,0 +1,160 @@
+"""Radiance that arrives along rays: Rays -> Incoming.
+
+The colour of what a ray hits follows the rule of the papers this library implements: a reflective surface seen in a reflection shows
+its emission and diffuse component (plus the ambient term in its specular colour). `IncomingOptions.bounces` follows mirrors
+further; refractive surfaces are followed through up to `interfaces` interfaces, greedily: refraction where there is one, total internal
+reflection where there is not.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrefl._types import GBuffer, Rays, Scene, Tracer
+from jaxrefl.core import dot
+from jaxrefl.radiance.direct import DirectOptions, direct_light
+from jaxrefl.rays.offset import offset_origin
+from jaxrefl.surface.gbuffer import build_gbuffer
+from jaxrefl.surface.specular import (
+    reflective,
+    refractive,
+    sample_reflection,
+    sample_refraction,
+    specular_weight,
+    transmission_weight,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class IncomingOptions:
+    """How far light is followed; static."""
+
+    bounces: int = 0
+    """Further mirror bounces after the first hit; 0 shows the diffuse component of mirrors seen in mirrors."""
+    interfaces: int = 4
+    """Refractive interfaces a ray may pass; 2 lead through one glass object."""
+    light: DirectOptions = DirectOptions()
+    """Light samples at each hit."""
+
+
+class Incoming(eqx.Module):
+    """What arrives along a batch of rays."""
+
+    radiance: Float[Array, "n 3"]
+    """Linear radiance; fill 0."""
+    hit: Bool[Array, "n"]
+    """True where the ray's first hit is a surface, False where it leaves the scene or was not cast."""
+    p: Float[Array, "n 3"]
+    """First hit, world space; fill 0."""
+    t: Float[Array, "n"]
+    """Distance to the first hit, world units; fill 0."""
+
+
+class _Path(eqx.Module):
+    """Rays on their way, with what they have gathered."""
+
+    rays: Rays
+    active: Bool[Array, "n"]
+    throughput: Float[Array, "n 3"]
+    radiance: Float[Array, "n 3"]
+    bounces: Int[Array, "n"]
+    interfaces: Int[Array, "n"]
+
+
+def incoming(
+    scene: Scene,
+    tracer: Tracer,
+    rays: Rays,
+    active: Bool[Array, "n"],
+    key: Array,
+    *,
+    options: IncomingOptions = IncomingOptions(),  # noqa: B008  frozen
+) -> Incoming:
+    """Trace rays and shade what they hit.
+
+    Args:
+        scene: The scene.
+        tracer: Ray queries against `scene.mesh`.
+        rays: Rays [n].
+        active: Which rays to trace.
+        key: Random key, for light samples and rough refraction.
+        options: Bounces, interfaces, light samples.
+    Returns:
+        Radiance and first hits [n].
+    Edge cases: a path that runs out of bounces or interfaces ends with the diffuse and ambient colour of its last hit.
+    """
+    follow_mirrors = options.bounces if scene.features.planar or scene.features.curved else 0
+    follow_glass = options.interfaces if scene.features.refractive else 0
+    path = _start(rays, active, follow_mirrors, follow_glass)
+    path, first = _follow(scene, tracer, path, key, options=options)
+    for depth in range(1, follow_mirrors + follow_glass + 1):
+        if not path.active.any():
+            break
+        path, _ = _follow(scene, tracer, path, jax.random.fold_in(key, depth), options=options)
+    return Incoming(path.radiance, first.valid, first.p, first.t)
+
+
+def _follow(
+    scene: Scene, tracer: Tracer, path: _Path, key: Array, *, options: IncomingOptions
+) -> tuple[_Path, GBuffer]:
+    """One segment of the path: cast, shade, go on."""
+    key_light, key_lobe = jax.random.split(key)
+    points = build_gbuffer(scene, path.rays, tracer.closest(path.rays, active=path.active))
+    light = direct_light(scene, tracer, points, key_light, options=options.light)
+    return _advance(scene, path, points, light, key_lobe), points
+
+
+@eqx.filter_jit
+def _start(rays: Rays, active: Array, bounces: int, interfaces: int) -> _Path:
+    one = jnp.ones_like(rays.origin)
+    count = jnp.ones(active.shape, jnp.int32)
+    return _Path(rays, active, one, jnp.zeros_like(one), count * bounces, count * interfaces)
+
+
+@eqx.filter_jit
+def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], key: Array) -> _Path:
+    """Add what the path sees at its hit and send it on where it has somewhere to go."""
+    seen = path.active & points.valid
+    specular = specular_weight(points)
+    through = transmission_weight(points, specular)
+    emission = 0.0 if points.emission is None else points.emission
+    throughput = path.throughput * _absorption(scene, path.rays, points)
+
+    refracts = seen & (path.interfaces > 0) & refractive(points)
+    mirrors = seen & (path.bounces > 0) & reflective(points) & ~refracts
+    ends = seen & ~refracts & ~mirrors
+    ambient = jnp.broadcast_to(scene.lights.ambient, light.shape)
+    surface = emission + (1 - specular) * (light - emission) + jnp.where(ends[..., None], specular * ambient, 0)
+    arrived = jnp.where(points.valid[..., None], surface, light)
+    radiance = path.radiance + jnp.where(path.active[..., None], throughput * arrived, 0)
+
+    key_reflect, key_refract = jax.random.split(key)
+    n = seen.shape[0]
+    wi, lobe = sample_reflection(points, jax.random.uniform(key_reflect, (n, 2)))
+    weight = specular * jnp.where(lobe > 0, 1.0, 0.0)[..., None]
+    if points.transmission is not None:
+        thin = scene.materials.thin[jnp.maximum(points.material, 0)]
+        wt = sample_refraction(points, thin, jax.random.uniform(key_refract, (n, 2)))
+        turned_back = dot(wt, points.n) > 0
+        wi = jnp.where(refracts[..., None], wt, wi)
+        weight = jnp.where(refracts[..., None], jnp.where(turned_back[..., None], 1.0, through), weight)
+    goes_on = refracts | mirrors
+    origin = offset_origin(points.p, points.n, points.p_error, wi)
+    rays = Rays(
+        jnp.where(goes_on[..., None], origin, path.rays.origin), jnp.where(goes_on[..., None], wi, path.rays.direction)
+    )
+    return _Path(
+        rays, goes_on, throughput * weight, radiance, path.bounces - mirrors.astype(jnp.int32), path.interfaces - refracts.astype(jnp.int32)
+    )
+
+
+def _absorption(scene: Scene, rays: Rays, points: GBuffer) -> Float[Array, "n 3"]:
+    """Beer-Lambert attenuation of a ray that reaches a refractive surface from its inside."""
+    if points.transmission is None:
+        return jnp.ones_like(rays.origin)
+    coefficient = scene.materials.attenuation[jnp.maximum(points.material, 0)]
+    inside = points.valid & ~points.outside & (points.transmission > 0)
+    return jnp.exp(-coefficient * jnp.where(inside, points.t, 0)[..., None])

@@ -1,0 +1,106 @@
+"""Closest hits and occlusion by Embree: Rays -> Hits. The only file that imports embreex.
+
+Everything embreex reports is translated here, once: misses (`primID == -1`, `tfar == 1e37`) become `valid == False` with
+zeros, the unnormalised normal is dropped (the G-buffer computes its own from the vertices), and `tfar`, which counts in
+lengths of the direction, is a distance because `Rays.direction` is unit. Embree runs in its robust mode, which is
+watertight along shared edges.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrefl._types import Hits, Mesh, Rays
+
+
+class EmbreeTracer:
+    """Ray queries against a mesh, on the host.
+
+    Args:
+        mesh: The triangles; their order is the meaning of `Hits.triangle`.
+    Raises:
+        ImportError: If embreex has no wheel for this platform (Linux on Arm has none); use `BruteTracer` for tiny scenes.
+    """
+
+    def __init__(self, mesh: Mesh):
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError as error:
+            raise ImportError(
+                "embreex cannot be imported; it has wheels for Linux and Windows on x86-64 and for macOS, "
+                "but none for Linux on Arm. BruteTracer works everywhere, for small scenes."
+            ) from error
+        self.rays = 0
+        self._scene = EmbreeScene(robust=True)
+        vertices = np.ascontiguousarray(mesh.vertices, np.float32)
+        TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, np.int32))
+        # The first query builds the acceleration structure: do it now rather than inside somebody's timing.
+        self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+
+    def closest(self, rays: Rays, *, active: Bool[Array, "*b"] | None = None) -> Hits:
+        """Closest hit of each ray.
+
+        Args:
+            rays: Rays [*b].
+            active: Which rays to cast; the others come back as misses. None: all.
+        Returns:
+            Hits [*b].
+        """
+        shape = rays.origin.shape[:-1]
+        origin, direction = _flat(rays.origin), _flat(rays.direction)
+        cast = None if active is None else np.flatnonzero(active)
+        if cast is not None and len(cast) == len(origin):
+            cast = None
+        if cast is not None:
+            origin, direction = origin[cast], direction[cast]
+        self.rays += len(origin)
+        found = self._scene.run(origin, direction, query="INTERSECT", output=True)
+        fields = (found["primID"], found["tfar"], found["u"], found["v"])
+        if cast is not None:
+            fields = tuple(_spread(x, cast, math.prod(shape)) for x in fields)
+        return _hits(*(jnp.asarray(x).reshape(shape) for x in fields))
+
+    def occluded(self, rays: Rays, t_max: Float[Array, "*b"]) -> Bool[Array, "*b"]:
+        """Whether something lies between the origin and `t_max`.
+
+        Args:
+            rays: Rays [*b].
+            t_max: Distance up to which to look, world units; rays with `t_max <= 0` are not cast and count as free.
+        Returns:
+            True where the ray is blocked.
+        """
+        distance = np.ascontiguousarray(t_max, np.float32).reshape(-1)
+        origin, direction = _flat(rays.origin), _flat(rays.direction)
+        cast = distance > 0
+        blocked = np.zeros(len(distance), bool)
+        if cast.all():
+            blocked = self._blocked(origin, direction, distance)
+        elif cast.any():
+            blocked[cast] = self._blocked(origin[cast], direction[cast], distance[cast])
+        return jnp.asarray(blocked.reshape(rays.origin.shape[:-1]))
+
+    def _blocked(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        self.rays += len(origin)
+        return self._scene.run(origin, direction, distance, query="OCCLUDED") != -1
+
+
+def _flat(x: Array) -> np.ndarray:
+    return np.ascontiguousarray(x, np.float32).reshape(-1, 3)
+
+
+def _spread(x: np.ndarray, where: np.ndarray, count: int) -> np.ndarray:
+    """Results of the rays that were cast at their places among all rays; -1 (a miss) elsewhere."""
+    full = np.full(count, -1, x.dtype)
+    full[where] = x
+    return full
+
+
+@jax.jit
+def _hits(triangle: Array, t: Array, u: Array, v: Array) -> Hits:
+    valid = triangle >= 0
+    barycentric = jnp.stack([jnp.where(valid, u, 0), jnp.where(valid, v, 0)], -1)
+    return Hits(valid, jnp.where(valid, t, 0), jnp.where(valid, triangle, 0), barycentric)

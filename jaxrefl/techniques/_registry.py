@@ -1,0 +1,20 @@
+"""The techniques that exist, by the name they have on the command line."""
+
+from types import ModuleType
+
+from jaxrefl.techniques import envmap, raytrace
+from jaxrefl.techniques._shape import Technique
+
+
+def _technique(name: str, summary: str, module: ModuleType) -> Technique:
+    return Technique(name, summary, module.init, module.step, module.Params, module.Options)
+
+
+TECHNIQUES: dict[str, Technique] = {
+    technique.name: technique
+    for technique in (
+        _technique("raytrace", "Brute force: mirror rays, or n GGX samples, for every reflective pixel.", raytrace),
+        _technique("envmap", "Classic environment mapping: a prefiltered map captured per reflector or per scene.", envmap),
+    )
+}
+"""Techniques in the order in which a reader should meet them."""

@@ -1,0 +1,115 @@
+"""Classic environment mapping: the baseline most users would pick instead.
+
+The surroundings are captured once from the centre of each reflector, as if they were infinitely far away, and read along the
+mirror direction. Nearby objects come out at the wrong place and the wrong size: that error is what the other techniques remove.
+"""
+
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrefl._status import Source
+from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
+from jaxrefl.core import norm, refract
+from jaxrefl.radiance import DirectOptions
+from jaxrefl.surface import mirror_direction, reflective, refractive
+from jaxrefl.techniques._shape import no_reflection
+from jaxrefl.techniques.envmap.capture import bounds_centre, capture, reflectors_of
+from jaxrefl.techniques.envmap.lookup import read_lobe, read_stack
+from jaxrefl.techniques.envmap.prefilter import level_alphas, prefilter
+from jaxrefl.techniques.envmap.types import Info, Options, Params, State
+
+
+def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State:  # noqa: B008  frozen
+    """Capture and prefilter the maps.
+
+    Args:
+        scene: The scene.
+        tracer: Ray queries against `scene.mesh`.
+        options: Scope and sizes.
+    Returns:
+        The maps.
+    Edge cases: a scene without reflectors gets one map, captured from its centre, that nothing uses.
+    """
+    cast_before = tracer.rays
+    light = DirectOptions(area_samples=options.area_samples, environment_samples=options.environment_samples)
+    reflectors = reflectors_of(scene)
+    kept = reflectors[: options.reflectors] if options.scope == "object" else reflectors[:0]
+    everything = np.unique(np.asarray(scene.mesh.object))
+    sites = [(bounds_centre(scene, np.array([index])), int(index)) for index in kept]
+    if len(kept) < len(reflectors) or not sites:
+        sites.append((bounds_centre(scene, reflectors if len(reflectors) else everything), -1))
+    map_of_object = np.full(len(scene.names.objects), -1, np.int32)
+    map_of_object[reflectors] = len(sites) - 1
+    map_of_object[kept] = np.arange(len(kept))
+
+    captured = []
+    for number, (centre, own) in enumerate(sites):
+        key = jax.random.fold_in(jax.random.key(0), number)
+        captured.append(
+            capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=light)
+        )
+    sharp = jnp.stack([radiance for radiance, _ in captured])
+    alpha = level_alphas(options.levels)
+    return State(
+        centre=jnp.asarray(np.stack([centre for centre, _ in sites]), jnp.float32),
+        sharp=sharp,
+        nearness=jnp.stack([nearness for _, nearness in captured]),
+        rough=prefilter(sharp, alpha, options.rough_height),
+        alpha=alpha,
+        map_of_object=jnp.asarray(map_of_object),
+        overflow=jnp.asarray(len(reflectors) - len(kept) if options.scope == "object" else 0, jnp.int32),
+        rays=jnp.asarray(tracer.rays - cast_before, jnp.int32),
+    )
+
+
+def step(
+    state: State,
+    frame: Frame,
+    params: Params,
+    *,
+    options: Options = Options(),  # noqa: B008  frozen
+) -> tuple[State, Reflection, Info]:
+    """Read the reflections of one frame from the maps.
+
+    Args:
+        state: From `init`.
+        frame: G-buffer of the frame.
+        params: No knobs.
+        options: As in `init`.
+    Returns:
+        The state, the reflection, and counts: `maps` and `overflow`.
+    """
+    began = time.perf_counter()
+    reflection = jax.block_until_ready(_read(state, frame.gbuffer))
+    counts = {"maps": state.sharp.shape[0], "overflow": int(state.overflow)}
+    return state, reflection, Info(0, {"lookup": time.perf_counter() - began}, counts)
+
+
+@eqx.filter_jit
+def _read(state: State, gbuffer: GBuffer) -> Reflection:
+    row = state.map_of_object[jnp.maximum(gbuffer.object, 0)]
+    valid = reflective(gbuffer) & (row >= 0)
+    row = jnp.maximum(row, 0)
+    wi = mirror_direction(gbuffer)
+    radiance = read_lobe(state, row, wi, gbuffer.alpha)
+    nearness = read_stack(state.nearness[..., None], row, wi)[..., 0]
+    transmitted = None
+    if gbuffer.transmission is not None:
+        relative_eta = jnp.where(gbuffer.outside, gbuffer.eta, 1 / gbuffer.eta)
+        through, _ = refract(gbuffer.wo, gbuffer.ns, relative_eta)
+        seen = read_lobe(state, row, through, gbuffer.alpha)
+        transmitted = jnp.where((valid & refractive(gbuffer))[..., None], seen, 0)
+    empty = no_reflection(gbuffer)
+    return Reflection(
+        radiance=jnp.where(valid[..., None], radiance, 0),
+        valid=valid,
+        source=jnp.where(valid, int(Source.ENVIRONMENT), int(Source.NONE)).astype(jnp.int32),
+        confidence=jnp.where(valid, 1 / (1 + norm(gbuffer.p - state.centre[row]) * nearness), 0),
+        p=empty.p,
+        t=empty.t,
+        transmitted=transmitted,
+    )

@@ -1,0 +1,147 @@
+"""One block of pixels: lobe samples -> rays -> mean radiance of the lobe."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrefl._status import Source
+from jaxrefl._types import GBuffer, Rays, Reflection, Scene
+from jaxrefl.radiance.incoming import Incoming
+from jaxrefl.rays import offset_origin
+from jaxrefl.surface import refractive, sample_reflection, sample_refraction
+
+_R2 = (0.7548776662466927, 0.5698402909980532)
+"""Generators of the R2 sequence [Roberts18]: samples of one pixel stay apart at any count."""
+
+
+class Sums(eqx.Module):
+    """Running sums over the samples of a block of pixels."""
+
+    weight: Float[Array, "n"]
+    radiance: Float[Array, "n 3"]
+    transmitted: Float[Array, "n 3"] | None
+    hits: Float[Array, "n"]
+    t: Float[Array, "n"]
+    p: Float[Array, "n 3"]
+    traced: Bool[Array, "n"]
+
+
+def start_sums(points: GBuffer, index: Int[Array, "n"]) -> Sums:
+    """Empty sums for one block.
+
+    Args:
+        points: G-buffer of the block.
+        index: Indices of the block, -1 for padding.
+    Returns:
+        Zeros.
+    """
+    zero, vector = jnp.zeros(index.shape, jnp.float32), jnp.zeros((*index.shape, 3), jnp.float32)
+    transmitted = None if points.transmission is None else vector
+    return Sums(zero, vector, transmitted, zero, zero, vector, index >= 0)
+
+
+def _lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array, "n 2"]:
+    """Point number `sample` of an R2 sequence, shifted differently in each pixel."""
+    shift = jax.random.uniform(key, (count, 2))
+    step = sample.astype(jnp.float32) * jnp.array(_R2, jnp.float32)
+    return (shift + jnp.broadcast_to(step, shift.shape)) % 1
+
+
+@eqx.filter_jit
+def reflected_rays(
+    points: GBuffer, active: Bool[Array, "n"], key: Array, sample: Int[Array, ""]
+) -> tuple[Rays, Float[Array, "n"]]:
+    """One ray per point from its specular lobe.
+
+    Args:
+        points: G-buffer of the block.
+        active: Which points are still sampled.
+        key: Random key of the block.
+        sample: Number of the sample.
+    Returns:
+        Rays off the surface, and their weights; 0 where there is nothing to trace.
+    """
+    wi, weight = sample_reflection(points, _lobe_sample(key, sample, active.shape[0]))
+    rays = Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
+    return rays, jnp.where(active, weight, 0)
+
+
+@eqx.filter_jit
+def refracted_rays(
+    scene: Scene, points: GBuffer, active: Bool[Array, "n"], key: Array, sample: Int[Array, ""]
+) -> tuple[Rays, Bool[Array, "n"]]:
+    """One ray per point through its surface.
+
+    Args:
+        scene: The scene.
+        points: G-buffer of the block.
+        active: Which points are still sampled.
+        key: Random key of the block.
+        sample: Number of the sample.
+    Returns:
+        Rays on the far side of the surface, and which of them to trace.
+    """
+    thin = scene.materials.thin[jnp.maximum(points.material, 0)]
+    wi = sample_refraction(points, thin, _lobe_sample(key, sample, active.shape[0]))
+    return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi), active & refractive(points)
+
+
+@eqx.filter_jit
+def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
+    """Add one reflected sample per point.
+
+    Args:
+        sums: Sums so far.
+        weight: Weights of the rays.
+        light: What arrived along them.
+    Returns:
+        The new sums.
+    """
+    hit = jnp.where(light.hit & (weight > 0), 1.0, 0.0)
+    return Sums(
+        weight=sums.weight + weight,
+        radiance=sums.radiance + weight[..., None] * light.radiance,
+        transmitted=sums.transmitted,
+        hits=sums.hits + hit,
+        t=sums.t + hit * light.t,
+        p=sums.p + hit[..., None] * light.p,
+        traced=sums.traced,
+    )
+
+
+@eqx.filter_jit
+def add_transmitted(sums: Sums, samples: int, light: Incoming) -> Sums:
+    """Add one refracted sample per point.
+
+    Args:
+        sums: Sums so far, of a scene with refractive materials.
+        samples: How many samples there will be.
+        light: What arrived.
+    Returns:
+        The new sums.
+    """
+    return eqx.tree_at(lambda s: s.transmitted, sums, sums.transmitted + light.radiance / samples)
+
+
+@eqx.filter_jit
+def reflection_of(sums: Sums) -> Reflection:
+    """Means of the samples.
+
+    Args:
+        sums: Complete sums of a block of n pixels.
+    Returns:
+        Reflection of these pixels [n].
+    """
+    inverse_weight = jnp.where(sums.weight > 0, 1 / jnp.maximum(sums.weight, 1e-20), 0)
+    inverse_hits = 1 / jnp.maximum(sums.hits, 1)
+    source = jnp.where(sums.hits > 0, int(Source.TRACED), int(Source.ENVIRONMENT))
+    return Reflection(
+        radiance=sums.radiance * inverse_weight[..., None],
+        valid=sums.traced,
+        source=jnp.where(sums.traced, source, int(Source.NONE)).astype(jnp.int32),
+        confidence=sums.traced.astype(jnp.float32),
+        p=sums.p * inverse_hits[..., None],
+        t=sums.t * inverse_hits,
+        transmitted=sums.transmitted,
+    )

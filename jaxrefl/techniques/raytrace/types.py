@@ -1,0 +1,31 @@
+"""Knobs and results of brute-force ray tracing."""
+
+import dataclasses
+
+import equinox as eqx
+
+from jaxrefl.techniques._knobs import check_options, option
+from jaxrefl.techniques._shape import Info as Info
+
+
+class Params(eqx.Module):
+    """Ray tracing has no tunable numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Static knobs."""
+
+    samples: int = option(1, "Rays per glossy pixel; mirrors need one.", low=1, high=65536)
+    bounces: int = option(0, "Further mirror bounces; 0 shows mirrors in mirrors by their diffuse colour.", low=0, high=16)
+    interfaces: int = option(4, "Refractive interfaces a ray may pass.", low=1, high=32)
+    area_samples: int = option(1, "Shadow rays to area lights at each reflected hit.", low=1, high=4096)
+    environment_samples: int = option(1, "Shadow rays to the environment at each reflected hit.", low=1, high=4096)
+    block: int = option(65536, "Pixels traced at a time; bounds memory.", low=256, high=4194304)
+
+    def __post_init__(self):
+        check_options(self)
+
+
+class State(eqx.Module):
+    """Ray tracing carries nothing from frame to frame."""
