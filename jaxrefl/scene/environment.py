@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrefl._types import Environment
-from jaxrefl.core import direction_from_latlong, latlong_from_direction, lerp
+from jaxrefl.core import direction_from_latlong, latlong_from_direction
 from jaxrefl.scene.description import Sky
-from jaxrefl.scene.distributions import distribution
+from jaxrefl.scene.distributions import distribution, invert_cdf
 from jaxrefl.scene.errors import SceneError
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-_BELOW_ONE = 1 - 2.0**-24
 
 
 def build_environment(sky: Sky) -> Environment:
@@ -97,12 +96,13 @@ def sample_environment(
     Source: [PBRT4] §12.5.2; inversion of the marginal and the conditional table.
     """
     height, width = environment.probability.shape
-    row, v = _invert(environment.row_cdf, jnp.zeros(u.shape[:-1], jnp.int32), height, u[..., 1])
-    column, x = _invert(environment.column_cdf.reshape(-1), row * width, width, u[..., 0])
+    row, v = invert_cdf(environment.row_cdf, u[..., 1])
+    column, x = invert_cdf(environment.column_cdf.reshape(-1), u[..., 0], start=row * width, count=width)
     # Uniform in solid angle within the texel: the squares of sin and cos of half the polar angle are linear in v.
     half_angle = np.pi / (2 * height) * np.arange(height + 1)
     sin2, cos2 = (jnp.asarray(f(half_angle) ** 2, u.dtype) for f in (np.sin, np.cos))
-    half_polar = jnp.arctan2(jnp.sqrt(lerp(sin2[row], sin2[row + 1], v)), jnp.sqrt(lerp(cos2[row], cos2[row + 1], v)))
+    sin2, cos2 = (f[row] * (1 - v) + f[row + 1] * v for f in (sin2, cos2))
+    half_polar = jnp.arctan2(jnp.sqrt(sin2), jnp.sqrt(cos2))
     uv = jnp.stack([(column.astype(x.dtype) + x) / width, half_polar * (2 / np.pi)], -1)
     direction = _to_world(environment, direction_from_latlong(uv))
     if height * width == 1:
@@ -144,24 +144,6 @@ def _density(environment: Environment, row: Int[Array, "*b"], column: Int[Array,
         np.pi / height * (row.astype(jnp.float32) + 0.5)
     )
     return environment.probability.reshape(-1)[row * width + column] / solid_angle
-
-
-def _invert(
-    cdf: Float[Array, "n"], start: Int[Array, "*b"], count: int, u: Float[Array, "*b"]
-) -> tuple[Int[Array, "*b"], Float[Array, "*b"]]:
-    """First entry of `cdf[start : start + count]` above u, and where u lies in it, in [0, 1)."""
-
-    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bounds
-        middle = (low + high) // 2
-        above = cdf[start + middle] > u
-        return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
-
-    u, first = jnp.minimum(u, _BELOW_ONE), jnp.zeros_like(start)
-    index, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (first, first + (count - 1)))
-    below = jnp.where(index > 0, cdf[start + jnp.maximum(index - 1, 0)], 0)
-    width = cdf[start + index] - below
-    return index, jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)
 
 
 def _bilinear(image: Float[Array, "h w c"], uv: Float[Array, "*b 2"]) -> Float[Array, "*b c"]:

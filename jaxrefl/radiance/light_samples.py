@@ -1,0 +1,253 @@
+"""Where to look for light: points on surfaces + Scene -> shadow rays and what each brings if nothing is in its way.
+
+Each kind of light has a function that makes one sample per point; `sample_lights` runs them as often as `DirectOptions`
+asks and puts the samples of all kinds into one list, so that all shadow rays are cast in one call. All estimates are
+unbiased.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxrefl._types import AreaLights, Environment, GBuffer, Lights, PunctualLights, Rays, Scene
+from jaxrefl.core import cone, cosine_hemisphere, cross, dot, safe, stratified, triangle
+from jaxrefl.rays.offset import ERROR_PER_COORDINATE, offset_origin
+from jaxrefl.scene.distributions import invert_cdf
+from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
+from jaxrefl.scene.textures import texture_rgba
+
+FAR = 1e30
+"""Length of a shadow ray that leaves the scene, world units."""
+COSINE_SHARE = 0.5
+"""Share of the environment's samples that are drawn from the cosine lobe instead of the map."""
+
+
+def _count(default: int, high: int, help: str) -> int:
+    return dataclasses.field(default=default, metadata={"low": 1, "high": high, "help": help})
+
+
+@dataclasses.dataclass(frozen=True)
+class DirectOptions:
+    """How many light samples each point takes; static."""
+
+    area_samples: int = _count(4, 1024, "Shadow rays per point to emissive triangles.")
+    """Shadow rays per point to emissive triangles, stratified over their power."""
+    environment_samples: int = _count(4, 1024, "Shadow rays per point to the environment map or sky.")
+    """Shadow rays per point to the environment map or sky, stratified."""
+    punctual_samples: int = _count(1, 256, "Shadow rays per point to each point, spot and directional light.")
+    """Shadow rays per point to each point, spot and directional light; more than 1 only helps suns with a radius."""
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value, (low, high) = getattr(self, field.name), (field.metadata["low"], field.metadata["high"])
+            if not isinstance(value, int) or not low <= value <= high:
+                raise ValueError(f"{field.name}: expected a whole number from {low} to {high}, got {value!r}")
+
+
+class Receivers(eqx.Module):
+    """Points that receive light: the geometry of a G-buffer without its materials."""
+
+    valid: Bool[Array, "n"]
+    """False for points that are left out; they get no light and no rays."""
+    p: Float[Array, "n 3"]
+    """Position, world space."""
+    p_error: Float[Array, "n"]
+    """Bound on the rounding error of `p`, world units."""
+    n: Float[Array, "n 3"]
+    """Geometric unit normal on the viewer's side."""
+    ns: Float[Array, "n 3"]
+    """Shading unit normal on the viewer's side."""
+
+
+class LightSamples(eqx.Module):
+    """Shadow rays, `s` per point."""
+
+    rays: Rays
+    """From just above the point towards the light [s n]."""
+    t_max: Float[Array, "s n"]
+    """Distance to the light; 0 where the sample brings nothing and need not be cast."""
+    irradiance: Float[Array, "s n 3"]
+    """Share of the irradiance that arrives if nothing is in the way; the sum over `s` estimates the irradiance."""
+
+
+def receivers_of(gbuffer: GBuffer) -> Receivers:
+    """The geometry of a flat G-buffer.
+
+    Args:
+        gbuffer: A G-buffer [n].
+    Returns:
+        Its points [n].
+    """
+    return Receivers(gbuffer.valid, gbuffer.p, gbuffer.p_error, gbuffer.n, gbuffer.ns)
+
+
+def samples_per_point(lights: Lights, *, options: DirectOptions) -> int:
+    """How many shadow rays `sample_lights` makes for each point.
+
+    Args:
+        lights: The scene's lights.
+        options: Sample counts.
+    Returns:
+        The number `s`; 0 without lights.
+    """
+    area = 0 if lights.area is None else options.area_samples
+    environment = 0 if lights.environment is None else options.environment_samples
+    punctual = 0 if lights.punctual is None else lights.punctual.directional.shape[0]
+    return area + environment + punctual * options.punctual_samples
+
+
+def sample_lights(scene: Scene, receivers: Receivers, key: Array, *, options: DirectOptions) -> LightSamples | None:
+    r"""Shadow rays to all lights, with the irradiance each brings.
+
+    $$ E = \int L_i(\omega)\,\cos\theta\,\mathrm{d}\omega \approx \sum_s \frac{L_s \cos\theta_s}{N_s\, p_s} $$
+
+    Area lights: $p = p_\mathrm{triangle} d^2 / (A \cos\theta_l)$, both sides of the triangle shine. Point and spot
+    lights: $I \cos\theta / d^2$, spots with the falloff of glTF. Directional lights: their irradiance, spread over the
+    disk of their angular radius. Environment: `COSINE_SHARE` of the samples from the cosine lobe, the others from the
+    map, combined by the balance heuristic; a constant sky from the cosine lobe alone, which has no variance without
+    occluders.
+
+    Args:
+        scene: Its mesh, materials, textures and lights are used.
+        receivers: Points [n].
+        key: Random key.
+        options: Sample counts.
+    Returns:
+        The samples; None if the scene has no light.
+    Edge cases: light from below the shading or the geometric normal counts as 0 and is not cast; a sample at the very
+        position of the point counts as 0.
+    Source: [PBRT4] §12.2 to §12.6, [VG95] for the balance heuristic; KHR_lights_punctual for the spot's falloff.
+    """
+    lights, n = scene.lights, receivers.valid.shape[0]
+    key_area, key_environment, key_punctual = jax.random.split(key, 3)
+
+    def run(key: Array, count: int, sample) -> LightSamples:
+        u = jnp.moveaxis(stratified(key, count, shape=(n,)), 1, 0)
+        samples = jax.vmap(sample)(u)
+        return eqx.tree_at(lambda x: x.irradiance, samples, samples.irradiance / count)
+
+    parts = []
+    if (area := lights.area) is not None:
+        parts.append(run(key_area, options.area_samples, lambda u: _area(scene, area, receivers, u)))
+    if (environment := lights.environment) is not None:
+        count = options.environment_samples
+        parts.append(run(key_environment, count, lambda u: _environment(environment, receivers, u)))
+    if (punctual := lights.punctual) is not None:
+        samples = run(key_punctual, options.punctual_samples, lambda u: _all_punctual(punctual, receivers, u))
+        parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples))
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *parts) if parts else None
+
+
+def _area(scene: Scene, area: AreaLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """A point on the emissive triangles, uniform on each and between them in proportion to their power."""
+    row, rest = invert_cdf(area.cdf, u[:, 0])
+    face = area.triangle[row]
+    corners = scene.mesh.faces[face]
+    a, b, c = (scene.mesh.vertices[corners[:, i]] for i in range(3))
+    barycentric = triangle(jnp.stack([rest, u[:, 1]], -1))
+    w1, w2 = barycentric[:, :1], barycentric[:, 1:]
+    q = a * (1 - w1 - w2) + b * w1 + c * w2
+    n_light = safe.normalise(cross(b - a, c - a))
+
+    material = scene.mesh.material[face]
+    emission = scene.materials.emission[material]
+    if scene.textures is not None and scene.mesh.uv is not None:
+        uv = scene.mesh.uv
+        uv = uv[corners[:, 0]] * (1 - w1 - w2) + uv[corners[:, 1]] * w1 + uv[corners[:, 2]] * w2
+        emission = emission * texture_rgba(scene.textures, scene.materials.emission_texture[material], uv)[:, :3]
+
+    to_light = q - receivers.p
+    distance = safe.norm(to_light)
+    wi = safe.normalise(to_light)
+    # Divided twice, since the square of a small distance may underflow.
+    inverse_density = safe.divide(safe.divide(area.area[row], distance), distance) / area.probability[row]
+    irradiance = emission * (inverse_density * jnp.abs(dot(n_light, wi)))[:, None]
+    q_error = ERROR_PER_COORDINATE * jnp.maximum(jnp.maximum(_largest(a), _largest(b)), _largest(c))
+    return _towards(receivers, wi, offset_origin(q, n_light, q_error, -wi), irradiance)
+
+
+def _environment(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """A direction from the cosine lobe or the map, weighted by the density of both together."""
+    if environment.probability.size == 1:
+        wi = cosine_hemisphere(u, receivers.ns)
+        return _far(receivers, wi, environment_radiance(environment, wi) * jnp.pi)
+    # Which of the two is chosen is stratified along with the rest: the first number decides and is stretched again.
+    from_lobe = u[:, 0] < COSINE_SHARE
+    x = jnp.where(from_lobe, u[:, 0] / COSINE_SHARE, (u[:, 0] - COSINE_SHARE) / (1 - COSINE_SHARE))
+    u = jnp.stack([x, u[:, 1]], -1)
+    from_map, _, _ = sample_environment(environment, u)
+    wi = jnp.where(from_lobe[:, None], cosine_hemisphere(u, receivers.ns), from_map)
+    cos = jnp.maximum(dot(receivers.ns, wi), 0)
+    density = COSINE_SHARE * cos / jnp.pi + (1 - COSINE_SHARE) * environment_pdf(environment, wi)
+    return _far(receivers, wi, environment_radiance(environment, wi) * safe.divide(cos, density)[:, None])
+
+
+def _all_punctual(lights: PunctualLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """One ray to each light [p n]; all lights share the random numbers, which only move within a sun's disk."""
+    return jax.vmap(lambda light: _punctual(light, receivers, u))(lights)
+
+
+def _punctual(light: PunctualLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """A ray to one light, the fields of which have lost their leading axis."""
+    shape = receivers.p.shape
+    position, axis = (jnp.broadcast_to(x, shape) for x in (light.position, light.direction))
+    to_light = position - receivers.p
+    distance = safe.norm(to_light)
+    wi = safe.normalise(to_light)
+    scale = jnp.maximum(light.cos_inner - light.cos_outer, 1e-3)
+    spot = jnp.clip((-dot(wi, axis) - light.cos_outer) / scale, 0, 1) ** 2
+    strength = safe.divide(safe.divide(spot, distance), distance)
+
+    cos_radius = jnp.cos(light.angular_radius)
+    sun = cone(u, -axis, jnp.broadcast_to(cos_radius, shape[:1]))
+    # A disk of half angle r and radiance L brings pi L sin^2 r; its solid angle is 2 pi (1 - cos r).
+    strength = jnp.where(light.directional, 2 / (1 + cos_radius), strength)
+    irradiance = jnp.broadcast_to(light.intensity, shape) * strength[:, None]
+    far, near = (
+        _far(receivers, sun, irradiance * _cosine(receivers, sun)),
+        _towards(receivers, wi, position, irradiance),
+    )
+    return jax.tree.map(lambda x, y: jnp.where(light.directional, x, y), far, near)
+
+
+def _towards(
+    receivers: Receivers, wi: Float[Array, "n 3"], end: Float[Array, "n 3"], irradiance: Float[Array, "n 3"]
+) -> LightSamples:
+    """A shadow ray that ends at a point; `irradiance` is that of a surface facing the light."""
+    irradiance = irradiance * _cosine(receivers, wi)
+    origin = offset_origin(receivers.p, receivers.n, receivers.p_error, wi)
+    t_max = safe.norm(end - origin)
+    return _samples(receivers, origin, safe.normalise(end - origin), t_max, irradiance)
+
+
+def _far(receivers: Receivers, wi: Float[Array, "n 3"], irradiance: Float[Array, "n 3"]) -> LightSamples:
+    """A shadow ray that leaves the scene."""
+    origin = offset_origin(receivers.p, receivers.n, receivers.p_error, wi)
+    return _samples(receivers, origin, wi, jnp.full(wi.shape[:1], FAR, wi.dtype), irradiance)
+
+
+def _samples(
+    receivers: Receivers,
+    origin: Float[Array, "n 3"],
+    direction: Float[Array, "n 3"],
+    t_max: Float[Array, "n"],
+    irradiance: Float[Array, "n 3"],
+) -> LightSamples:
+    above = receivers.valid & (dot(receivers.n, direction) > 0) & (dot(receivers.ns, direction) > 0)
+    brings = above & (irradiance.max(-1) > 0)
+    return LightSamples(
+        rays=Rays(origin, direction),
+        t_max=jnp.where(brings, t_max, 0),
+        irradiance=jnp.where(brings[:, None], irradiance, 0),
+    )
+
+
+def _cosine(receivers: Receivers, wi: Float[Array, "n 3"]) -> Float[Array, "n 1"]:
+    return jnp.maximum(dot(receivers.ns, wi), 0)[:, None]
+
+
+def _largest(v: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return jnp.abs(v).max(-1)
