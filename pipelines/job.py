@@ -1,0 +1,312 @@
+"""Job files: what to render, how, and against what. One TOML file holds all of it; the command line fills the same classes.
+
+A job is read, checked against what exists, and *resolved*: every default is written out, every path is absolute, every
+input file has its digest. The resolved job stands in the results folder, and rendering it again gives the same images.
+"""
+
+import dataclasses
+import hashlib
+import inspect
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jaxrefl.composite import Options as CompositeOptions
+from jaxrefl.radiance import DirectOptions
+from jaxrefl.techniques import TECHNIQUES, Technique
+from pipelines.camera_files import camera_file_facts
+from pipelines.knobs import Knobs, complete, find_technique, knobs_of, technique_knobs
+from pipelines.toml_tables import JobError, read_table, suggestion, toml_text, write_table
+from scenes import BUILT_IN
+
+DEFAULT_SIZE = (960, 540)
+"""Image size where neither the job nor the camera file names one."""
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Which scene, and what to change about it."""
+
+    source: str
+    """A scene file, or the name of a built-in scene (`jaxrefl scenes` lists them)."""
+    overrides: str | None = None
+    """TOML file that replaces materials, lights, units and the like, by name."""
+    environment: str | None = None
+    """Environment map, .hdr or .exr, that lights the scene from infinitely far away."""
+    up: str | None = None
+    """Axis that points up in the file, such as "z"; scenes are +Y up after loading."""
+    units: float | None = None
+    """Factor on all lengths in the file."""
+    crease_angle: float | None = None
+    """Degrees up to which edges are smoothed where the file has no normals."""
+    parameters: dict[str, bool | int | float | str] = field(default_factory=dict)
+    """Parameters of a built-in scene, such as triangles = 20000."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A camera at a time; either `target` or `rotation` says where it looks."""
+
+    position: tuple[float, float, float]
+    """Camera position, world space."""
+    target: tuple[float, float, float] | None = None
+    """Point in the middle of the image."""
+    rotation: tuple[float, float, float, float] | None = None
+    """Camera-to-world rotation as a quaternion (w, x, y, z)."""
+    time: float | None = None
+    """Any increasing numbers; None: the keyframe's number."""
+    fov_y: float = 45.0
+    """Vertical field of view, degrees."""
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Direction that points up in the image; used with `target`."""
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """Where the camera goes: a file, keyframes, a camera of the scene, or the scene's own path."""
+
+    file: str | None = None
+    """transforms.json in the NeRF and Blender convention: camera-to-world matrices, looking along -Z."""
+    name: str | None = None
+    """A camera of the scene file; None: its first."""
+    keyframes: tuple[Keyframe, ...] = ()
+    """Keyframes, joined by splines."""
+    closed: bool = False
+    """True: the keyframes form a loop."""
+    up: str = "y"
+    """Axis that points up in the camera file or the keyframes: "y", or "z" as in Blender's world."""
+    swing: float = 5.0
+    """Half angle in degrees of the loop that is made around a camera that stands still; 0: it stands still."""
+
+    def __post_init__(self):
+        given = [n for n in ("file", "name", "keyframes") if getattr(self, n)]
+        if len(given) > 1:
+            raise JobError(f"camera: expected one of file, name and keyframes, got {' and '.join(given)}")
+        if self.up not in ("y", "z"):
+            raise JobError(f"camera: up: expected 'y' or 'z', got {self.up!r}")
+        if not 0 <= self.swing <= 90:
+            raise JobError(f"camera: swing: expected degrees from 0 to 90, got {self.swing}")
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Which files each frame leaves, and how bright."""
+
+    png: bool = True
+    """8-bit sRGB picture."""
+    exr: bool = True
+    """Linear RGB, float32. The reference always has one, because errors are measured against it."""
+    layers: bool = True
+    """Multi-layer EXR: reflection, diffuse, albedo, normals, positions, ids, ..., float32."""
+    exposure: float = 0.0
+    """Stops by which PNGs, and the errors measured on them, are brightened."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What errors are measured against."""
+
+    technique: str = "raytrace"
+    """Any technique, with knobs of its own."""
+    knobs: dict[str, bool | int | float | str] = field(default_factory=dict)
+    """Its knobs; without `samples`, a technique that has samples gets 16 times those of its own table, at least 64."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything that decides what the images look like."""
+
+    scene: SceneSource
+    techniques: tuple[str, ...] = ("raytrace",)
+    """Names of the techniques to render with."""
+    frames: int | None = None
+    """How many frames; None: all of a camera file, otherwise one."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; None: the camera file's, otherwise 960 by 540."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    camera: CameraPath = field(default_factory=CameraPath)
+    outputs: Outputs = field(default_factory=Outputs)
+    reference: Reference | None = None
+    """None: errors are not measured."""
+    light: dict[str, Any] = field(default_factory=dict)
+    """Knobs of direct light (`jaxrefl.radiance.DirectOptions`), shared by all techniques."""
+    composite: dict[str, Any] = field(default_factory=dict)
+    """Knobs of `jaxrefl.composite.Options`, shared by all techniques."""
+    technique: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Knobs by technique."""
+    digests: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of each input file; written on resolving, checked when it is there."""
+
+    def __post_init__(self):
+        if not self.techniques:
+            raise JobError("techniques: expected at least one")
+        if len(set(self.techniques)) < len(self.techniques):
+            raise JobError(f"techniques: one is named twice: {', '.join(self.techniques)}")
+        if self.frames is not None and self.frames < 1:
+            raise JobError(f"frames: expected at least 1, got {self.frames}")
+        if self.size is not None and min(self.size) < 1:
+            raise JobError(f"size: expected a width and height of at least 1 pixel, got {self.size[0]} {self.size[1]}")
+        if not 0 <= self.seed < 2**32:
+            raise JobError(f"seed: expected a whole number from 0 to {2**32 - 1}, got {self.seed}")
+
+
+def read_job(path: Path) -> Job:
+    """A job from its file; paths in it count from the file's folder.
+
+    Args:
+        path: TOML file.
+    Returns:
+        The job, not yet resolved.
+    Raises:
+        JobError: If the file is missing, is no TOML, or holds a key or value that does not fit.
+    """
+    return parse_job(_read_text(path), name=str(path), folder=path.resolve().parent)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise JobError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise JobError(f"{path}: expected UTF-8 text: {error}") from error
+
+
+def parse_job(text: str, *, name: str = "job", folder: Path | None = None) -> Job:
+    """A job from TOML text.
+
+    Args:
+        text: TOML.
+        name: Name for messages.
+        folder: Folder from which relative paths count; None: they are kept.
+    Returns:
+        The job, not yet resolved.
+    Raises:
+        JobError: If it is no TOML, or holds a key or value that does not fit.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise JobError(f"{name}: is not valid TOML: {error}") from error
+    if isinstance(table.get("scene"), str):
+        table["scene"] = {"source": table["scene"]}
+    job: Job = read_table(Job, table, where=name)
+    return job if folder is None else _with_paths(job, lambda p: str((folder / p).resolve()))
+
+
+def _with_paths(job: Job, change) -> Job:
+    """The job with `change` applied to every path in it."""
+    scene, camera = job.scene, job.camera
+    source = scene.source if scene.source in BUILT_IN else change(scene.source)
+    optional = {n: change(p) for n in ("overrides", "environment") if (p := getattr(scene, n)) is not None}
+    scene = dataclasses.replace(scene, source=source, **optional)
+    if camera.file is not None:
+        camera = dataclasses.replace(camera, file=change(camera.file))
+    return dataclasses.replace(job, scene=scene, camera=camera)
+
+
+def job_text(job: Job) -> str:
+    """The job as TOML.
+
+    Args:
+        job: Any job.
+    Returns:
+        Text that `parse_job` reads back to the same job.
+    """
+    return toml_text(write_table(job))
+
+
+def resolve(job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES) -> Job:
+    """The job with nothing left open: defaults written out, paths absolute, input files digested.
+
+    Args:
+        job: Any job; paths count from the working folder.
+        techniques: The techniques that exist.
+    Returns:
+        The resolved job; resolving it again changes nothing.
+    Raises:
+        JobError: If something the job names does not exist or does not fit, or if an input file is not the one the job was resolved with.
+    """
+    job = _with_paths(job, lambda p: str(Path(p).expanduser().absolute()))
+    parameters = _scene_parameters(job.scene)
+    facts = camera_file_facts(Path(job.camera.file)) if job.camera.file is not None else None
+    for name in job.technique:
+        find_technique(name, techniques)
+    named = {name: find_technique(name, techniques) for name in job.techniques}
+    knobs = {
+        name: complete(technique_knobs(t), job.technique.get(name, {}), where=f"[technique.{name}]")
+        for name, t in named.items()
+    }
+    resolved = dataclasses.replace(
+        job,
+        scene=dataclasses.replace(job.scene, parameters=parameters),
+        frames=job.frames or (facts.frames if facts else 1),
+        size=job.size or (facts.size if facts else None) or DEFAULT_SIZE,
+        light=complete(knobs_of(DirectOptions), job.light, where="[light]"),
+        composite=complete(knobs_of(CompositeOptions), job.composite, where="[composite]"),
+        technique=knobs,
+        reference=None if job.reference is None else _resolve_reference(job, job.reference, techniques),
+        digests=input_digests(job),
+    )
+    for path, digest in job.digests.items():
+        if resolved.digests.get(path, digest) != digest:
+            raise JobError(f"{path}: is not the file this job was made with; remove it from [digests] to use it anyway")
+    return resolved
+
+
+def _scene_parameters(scene: SceneSource) -> Knobs:
+    """Parameters of a built-in scene, with defaults; none for a file, which must exist."""
+    if scene.source not in BUILT_IN:
+        path = Path(scene.source)
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise JobError(f"scene {scene.source}: {what}, and no built-in scene: {suggestion(path.name, BUILT_IN)}")
+        if scene.parameters:
+            raise JobError(
+                f"scene: {scene.source} is a file; parameters are for built-in scenes: {', '.join(BUILT_IN)}"
+            )
+        return {}
+    for name in ("overrides", "up", "units", "crease_angle"):
+        if getattr(scene, name) is not None:
+            raise JobError(f"scene: {name} is for scene files; {scene.source} is a built-in scene")
+    known = inspect.signature(BUILT_IN[scene.source].build).parameters
+    for name in scene.parameters:
+        if name not in known:
+            raise JobError(f"scene {scene.source}: unknown parameter {name!r}; {suggestion(name, known)}")
+    defaults = {name: p.default for name, p in known.items() if isinstance(p.default, bool | int | float | str)}
+    return {**defaults, **scene.parameters}
+
+
+def _resolve_reference(job: Job, reference: Reference, techniques: Mapping[str, Technique]) -> Reference:
+    known = technique_knobs(find_technique(reference.technique, techniques))
+    given = dict(reference.knobs)
+    # Whoever names no samples for the reference wants one that is clearly better than what it judges.
+    if "samples" in known and "samples" not in given:
+        own = int(job.technique.get(reference.technique, {}).get("samples", known["samples"].default))
+        given["samples"] = int(min(max(64, 16 * own), known["samples"].high or 2**31 - 1))
+    return Reference(reference.technique, complete(known, given, where="[reference.knobs]"))
+
+
+def input_digests(job: Job) -> dict[str, str]:
+    """SHA-256 of every file the job names.
+
+    Args:
+        job: A job with absolute paths.
+    Returns:
+        Hexadecimal digests by path.
+    Raises:
+        JobError: If a file cannot be read.
+    """
+    scene = job.scene
+    files = (None if scene.source in BUILT_IN else scene.source, scene.overrides, scene.environment, job.camera.file)
+    digests = {}
+    for path in (p for p in files if p is not None):
+        try:
+            with open(path, "rb") as stream:
+                digests[path] = hashlib.file_digest(stream, "sha256").hexdigest()
+        except OSError as error:
+            raise JobError(f"{path}: cannot be read: {error.strerror}") from error
+    return digests

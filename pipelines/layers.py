@@ -1,0 +1,68 @@
+"""Named channels of a frame's multi-layer EXR: G-buffer, diffuse light and Reflection -> [h w] planes.
+
+Where nothing is seen, or nothing is reflected, a channel holds the fill value of its type (0, ids -1, normals (0, 0, 1));
+`valid` and `reflected_valid` (1 or 0) say where.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from jaxrefl._types import GBuffer, Reflection
+
+
+def rgb_channels(image: Any, *, layer: str = "") -> dict[str, np.ndarray]:
+    """Three colour channels.
+
+    Args:
+        image: [h w 3].
+        layer: Name of the layer; empty: the file's plain R, G and B.
+    Returns:
+        [h w] planes by channel name.
+    """
+    return _split(image, layer, "RGB")
+
+
+def _split(image: Any, layer: str, axes: str) -> dict[str, np.ndarray]:
+    values = np.asarray(image, np.float32)
+    return {f"{layer}.{axis}" if layer else axis: values[..., i] for i, axis in enumerate(axes)}
+
+
+def frame_channels(image: Any, gbuffer: GBuffer, diffuse: Any, reflection: Reflection) -> dict[str, np.ndarray]:
+    """All channels of one frame.
+
+    Args:
+        image: [h w 3] composited linear radiance.
+        gbuffer: What is seen.
+        diffuse: [h w 3] emitted and diffusely reflected radiance.
+        reflection: Incoming radiance before Fresnel and specular colour, and where it comes from.
+    Returns:
+        [h w] float32 planes by channel name; optional ones (`motion`, `transmitted`, `emission`) where the scene has them.
+    """
+    planes = rgb_channels(image)
+    planes |= _split(reflection.radiance, "reflection", "RGB")
+    planes |= _split(diffuse, "diffuse", "RGB")
+    planes |= _split(gbuffer.base_colour, "albedo", "RGB")
+    planes |= _split(gbuffer.ns, "normal", "XYZ")
+    planes |= _split(gbuffer.p, "position", "XYZ")
+    planes |= _split(reflection.p, "reflected_position", "XYZ")
+    single = {
+        "Z": gbuffer.z_camera,
+        "valid": gbuffer.valid,
+        "object_id": gbuffer.object,
+        "material_id": gbuffer.material,
+        "metallic": gbuffer.metallic,
+        "alpha": gbuffer.alpha,
+        "reflected_distance": reflection.t,
+        "reflected_valid": reflection.valid,
+        "source": reflection.source,
+        "confidence": reflection.confidence,
+    }
+    planes |= {name: np.asarray(plane).astype(np.float32) for name, plane in single.items() if plane is not None}
+    if reflection.transmitted is not None:
+        planes |= _split(reflection.transmitted, "transmitted", "RGB")
+    if gbuffer.emission is not None:
+        planes |= _split(gbuffer.emission, "emission", "RGB")
+    if gbuffer.motion is not None:
+        planes |= _split(gbuffer.motion, "motion", "XY")
+    return planes
