@@ -45,7 +45,7 @@ def blend(
         options: Fresnel model and energy compensation.
     Returns:
         Linear radiance [h w 3].
-    Edge cases: pixels whose reflection is not valid show no reflection: their weight of L_r is 0, and L_d keeps its (1 - E).
+    Edge cases: pixels whose reflection is not valid show none: the weight of L_r is 0, and L_d keeps its (1 - E).
     """
     specular = specular_weight(gbuffer, fresnel=options.fresnel, multiple_scattering=options.multiple_scattering)
     emission = jnp.zeros_like(diffuse) if gbuffer.emission is None else gbuffer.emission

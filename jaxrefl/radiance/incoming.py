@@ -1,12 +1,13 @@
 """Radiance that arrives along rays: Rays -> Incoming.
 
-The colour of what a ray hits follows the rule of the papers this library implements: a reflective surface seen in a reflection shows
-its emission and diffuse component (plus the ambient term in its specular colour). `IncomingOptions.bounces` follows mirrors
-further; refractive surfaces are followed through up to `interfaces` interfaces, greedily: refraction where there is one, total internal
-reflection where there is not.
+The colour of what a ray hits follows the rule of the papers this library implements: a reflective surface seen in a
+reflection shows its emission and diffuse component (plus the ambient term in its specular colour).
+`IncomingOptions.bounces` follows mirrors further; refractive surfaces are followed through up to `interfaces`
+interfaces, greedily: refraction where there is one, total internal reflection where there is not.
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -107,14 +108,14 @@ def _follow(
     return _advance(scene, path, points, light, key_lobe), points
 
 
-@eqx.filter_jit
+@functools.partial(jax.jit, static_argnums=(2, 3))
 def _start(rays: Rays, active: Array, bounces: int, interfaces: int) -> _Path:
     one = jnp.ones_like(rays.origin)
     count = jnp.ones(active.shape, jnp.int32)
     return _Path(rays, active, one, jnp.zeros_like(one), count * bounces, count * interfaces)
 
 
-@eqx.filter_jit
+@jax.jit
 def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], key: Array) -> _Path:
     """Add what the path sees at its hit and send it on where it has somewhere to go."""
     seen = path.active & points.valid
@@ -147,7 +148,12 @@ def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 
         jnp.where(goes_on[..., None], origin, path.rays.origin), jnp.where(goes_on[..., None], wi, path.rays.direction)
     )
     return _Path(
-        rays, goes_on, throughput * weight, radiance, path.bounces - mirrors.astype(jnp.int32), path.interfaces - refracts.astype(jnp.int32)
+        rays,
+        goes_on,
+        throughput * weight,
+        radiance,
+        path.bounces - mirrors.astype(jnp.int32),
+        path.interfaces - refracts.astype(jnp.int32),
     )
 
 

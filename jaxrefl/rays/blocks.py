@@ -4,10 +4,10 @@ A block that fits the cache also runs several times faster on a CPU than one pas
 padded; padding is marked by an index of -1 and never cast, shaded or written.
 """
 
+import functools
 from collections.abc import Iterator
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +33,7 @@ def blocks_of(mask: Bool[Array, "*b"], *, size: int) -> Iterator[Int[Array, "n"]
         yield jnp.asarray(block)
 
 
-@eqx.filter_jit
+@functools.partial(jax.jit, static_argnames="batch_dims")
 def take_block(tree: T, index: Int[Array, "n"], *, batch_dims: int = 2) -> T:
     """The elements of one block.
 
@@ -48,13 +48,13 @@ def take_block(tree: T, index: Int[Array, "n"], *, batch_dims: int = 2) -> T:
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[batch_dims:])[safe], tree)
 
 
-@eqx.filter_jit(donate="first")
-def put_block(image: T, index: Int[Array, "n"], block: T, *, batch_dims: int = 2) -> T:
+@functools.partial(jax.jit, static_argnames="batch_dims", donate_argnames="image")
+def put_block(index: Int[Array, "n"], image: T, block: T, *, batch_dims: int = 2) -> T:
     """Write one block's results where they belong.
 
     Args:
-        image: Arrays that all start with the same `batch_dims` axes; their memory is reused.
         index: Flat indices from `blocks_of`; padding is dropped.
+        image: Arrays that all start with the same `batch_dims` axes; consumed, their memory is reused.
         block: One row per index.
         batch_dims: How many leading axes the indices run over.
     Returns:

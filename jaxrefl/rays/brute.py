@@ -1,7 +1,7 @@
 """Every ray against every triangle, in JAX: Rays -> Hits. The oracle for `rays.embree`; for small scenes only.
 
-Rays are tested by signed volumes in a ray-centred frame, so that two triangles that share an edge compute the same value
-for it with opposite sign: a ray cannot slip between them.
+Rays are tested by signed volumes in a ray-centred frame, so that two triangles that share an edge compute the same
+value for it with opposite sign: a ray cannot slip between them.
 """
 
 import jax
@@ -37,6 +37,19 @@ class BruteTracer:
             active = jnp.ones(rays.origin.shape[:-1], bool)
         self.rays += int(active.sum())
         return _closest(self._corners, rays, active)
+
+    def closest_rows(self, rays: Rays, first: int, count: int) -> Hits:
+        """Closest hits of some rows of an image of rays.
+
+        Args:
+            rays: Rays [h w].
+            first: First row.
+            count: Number of rows.
+        Returns:
+            Hits [count w].
+        """
+        rows = slice(first, first + count)
+        return self.closest(Rays(rays.origin[rows], rays.direction[rows]))
 
     def occluded(self, rays: Rays, t_max: Float[Array, "*b"]) -> Bool[Array, "*b"]:
         """Whether something lies between the origin and `t_max`.

@@ -1,9 +1,9 @@
 """Closest hits and occlusion by Embree: Rays -> Hits. The only file that imports embreex.
 
-Everything embreex reports is translated here, once: misses (`primID == -1`, `tfar == 1e37`) become `valid == False` with
-zeros, the unnormalised normal is dropped (the G-buffer computes its own from the vertices), and `tfar`, which counts in
-lengths of the direction, is a distance because `Rays.direction` is unit. Embree runs in its robust mode, which is
-watertight along shared edges.
+Everything embreex reports is translated here, once: misses (`primID == -1`, `tfar == 1e37`) become `valid == False`
+with zeros, the unnormalised normal is dropped (the G-buffer computes its own from the vertices), and `tfar`, which
+counts in lengths of the direction, is a distance because `Rays.direction` is unit. Embree runs in its robust mode, which
+is watertight along shared edges.
 """
 
 import math
@@ -22,7 +22,7 @@ class EmbreeTracer:
     Args:
         mesh: The triangles; their order is the meaning of `Hits.triangle`.
     Raises:
-        ImportError: If embreex has no wheel for this platform (Linux on Arm has none); use `BruteTracer` for tiny scenes.
+        ImportError: If embreex has no wheel for this platform; `BruteTracer` serves tiny scenes there.
     """
 
     def __init__(self, mesh: Mesh):
@@ -50,8 +50,26 @@ class EmbreeTracer:
         Returns:
             Hits [*b].
         """
-        shape = rays.origin.shape[:-1]
         origin, direction = _flat(rays.origin), _flat(rays.direction)
+        return self._closest(origin, direction, rays.origin.shape[:-1], active)
+
+    def closest_rows(self, rays: Rays, first: int, count: int) -> Hits:
+        """Closest hits of some rows of an image of rays.
+
+        The caller can go on working on these on the device while the next rows are cast here on the host.
+
+        Args:
+            rays: Rays [h w].
+            first: First row.
+            count: Number of rows.
+        Returns:
+            Hits [count w].
+        """
+        rows = slice(first, first + count)
+        origin, direction = np.asarray(rays.origin)[rows], np.asarray(rays.direction)[rows]
+        return self._closest(_flat(origin), _flat(direction), origin.shape[:-1], None)
+
+    def _closest(self, origin: np.ndarray, direction: np.ndarray, shape: tuple[int, ...], active: Array | None) -> Hits:
         cast = None if active is None else np.flatnonzero(active)
         if cast is not None and len(cast) == len(origin):
             cast = None
@@ -62,7 +80,7 @@ class EmbreeTracer:
         fields = (found["primID"], found["tfar"], found["u"], found["v"])
         if cast is not None:
             fields = tuple(_spread(x, cast, math.prod(shape)) for x in fields)
-        return _hits(*(jnp.asarray(x).reshape(shape) for x in fields))
+        return _hits(*(x.reshape(shape) for x in fields))
 
     def occluded(self, rays: Rays, t_max: Float[Array, "*b"]) -> Bool[Array, "*b"]:
         """Whether something lies between the origin and `t_max`.
@@ -73,7 +91,7 @@ class EmbreeTracer:
         Returns:
             True where the ray is blocked.
         """
-        distance = np.ascontiguousarray(t_max, np.float32).reshape(-1)
+        distance = np.array(t_max, np.float32).reshape(-1)  # a copy: embreex wants to be able to write
         origin, direction = _flat(rays.origin), _flat(rays.direction)
         cast = distance > 0
         blocked = np.zeros(len(distance), bool)
@@ -88,7 +106,7 @@ class EmbreeTracer:
         return self._scene.run(origin, direction, distance, query="OCCLUDED") != -1
 
 
-def _flat(x: Array) -> np.ndarray:
+def _flat(x: Array | np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(x, np.float32).reshape(-1, 3)
 
 
@@ -101,6 +119,7 @@ def _spread(x: np.ndarray, where: np.ndarray, count: int) -> np.ndarray:
 
 @jax.jit
 def _hits(triangle: Array, t: Array, u: Array, v: Array) -> Hits:
+    """Embree's fields as `Hits`; NumPy arrays go straight into the compiled call."""
     valid = triangle >= 0
     barycentric = jnp.stack([jnp.where(valid, u, 0), jnp.where(valid, v, 0)], -1)
     return Hits(valid, jnp.where(valid, t, 0), jnp.where(valid, triangle, 0), barycentric)

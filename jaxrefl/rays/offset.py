@@ -12,8 +12,8 @@ ERROR_PER_COORDINATE = 48 * float(jnp.finfo(jnp.float32).eps)
 """Offset as a share of the triangle's coordinates.
 
 Barycentric interpolation errs by at most 6 half-ulps of the largest coordinate; the rest is for the intersection test,
-which subtracts the origin from the vertices. `tests/test_rays_offset.py` measures the share of self-hits at this value (none) and
-at a 48th of it (many).
+which subtracts the origin from the vertices. `tests/test_rays_offset.py` measures the share of self-hits at this value
+(none) and at a 48th of it (many).
 """
 
 

@@ -1,17 +1,23 @@
 """The G-buffer stage: Scene + Rays + Hits -> GBuffer."""
 
-import equinox as eqx
+import functools
+from typing import TypeVar
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrefl._types import Camera, GBuffer, Hits, Rays, Scene, Tracer
-from jaxrefl.core import dot, normalise, project
+from jaxrefl.core import dot, project
+from jaxrefl.core.safe import normalise
 from jaxrefl.rays import camera_rays
 from jaxrefl.surface.interpolate import interpolate, position
 from jaxrefl.surface.material import apply_normal_map, sample_material
 
+T = TypeVar("T")
 
-@eqx.filter_jit
+
+@jax.jit
 def build_gbuffer(
     scene: Scene, rays: Rays, hits: Hits, *, camera: Camera | None = None, previous_camera: Camera | None = None
 ) -> GBuffer:
@@ -82,8 +88,14 @@ def _camera_fields(
     return z_camera, jnp.where(shown[..., None], xy_previous - xy, 0)
 
 
+_BLOCK = 131072
+"""Pixels whose rays are cast while the pixels before them are built."""
+
+
 def look(scene: Scene, tracer: Tracer, camera: Camera, *, previous_camera: Camera | None = None) -> GBuffer:
     """Cast a camera's rays and build its G-buffer.
+
+    Rows are built on the device while the host casts the rays of the next ones.
 
     Args:
         scene: The scene.
@@ -93,8 +105,42 @@ def look(scene: Scene, tracer: Tracer, camera: Camera, *, previous_camera: Camer
     Returns:
         The G-buffer [h w].
     """
+    rows = max(1, min(camera.height, _BLOCK // camera.width))
     rays = _rays(camera)
-    return build_gbuffer(scene, rays, tracer.closest(rays), camera=camera, previous_camera=previous_camera)
+    gbuffer = _blank(scene, camera, previous_camera)
+    for start in range(0, camera.height, rows):
+        first = min(start, camera.height - rows)
+        hits = tracer.closest_rows(rays, first, rows)
+        gbuffer = _build_rows(gbuffer, scene, rays, hits, camera, previous_camera, first)
+    return gbuffer
 
 
-_rays = eqx.filter_jit(camera_rays)
+_rays = jax.jit(camera_rays)
+
+
+def _slice_rows(tree: T, first: Array | int, count: int) -> T:
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), tree)
+
+
+@functools.partial(jax.jit, donate_argnums=0)
+def _build_rows(
+    gbuffer: GBuffer, scene: Scene, rays: Rays, hits: Hits, camera: Camera, previous_camera: Camera | None, first: Array
+) -> GBuffer:
+    """Write the rows from `first` on into the G-buffer, in place."""
+    part = _slice_rows(rays, first, hits.valid.shape[0])
+    built = build_gbuffer(scene, part, hits, camera=camera, previous_camera=previous_camera)
+    return jax.tree.map(lambda x, rows: jax.lax.dynamic_update_slice_in_dim(x, rows, first, 0), gbuffer, built)
+
+
+@jax.jit
+def _blank(scene: Scene, camera: Camera, previous_camera: Camera | None) -> GBuffer:
+    """Zeros in the shape of the camera's G-buffer."""
+
+    def build(scene: Scene, camera: Camera, previous_camera: Camera | None) -> GBuffer:
+        shape = (camera.height, camera.width)
+        zero = jnp.zeros(shape, jnp.float32)
+        hits = Hits(jnp.zeros(shape, bool), zero, jnp.zeros(shape, jnp.int32), jnp.zeros((*shape, 2), jnp.float32))
+        return build_gbuffer(scene, camera_rays(camera), hits, camera=camera, previous_camera=previous_camera)
+
+    shapes = jax.eval_shape(build, scene, camera, previous_camera)
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)

@@ -1,14 +1,15 @@
 """Vertex attributes at hit points: Hits + Mesh -> position, normals, texture coordinates.
 
-Vertices are gathered one row at a time and interpolated with weights (1 - u - v, u, v); a position computed this way lies on its
-triangle to a few roundings of the largest coordinate, however far the ray has come, which is what bounds `p_error`.
+Vertices are interpolated with weights (1 - u - v, u, v); a position computed this way lies on its triangle to a few
+roundings of the largest coordinate, however far the ray has come, which is what bounds `p_error`.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrefl._types import Hits, Mesh
-from jaxrefl.core import cross, normalise
+from jaxrefl.core import cross
+from jaxrefl.core.safe import normalise
 from jaxrefl.rays.offset import ERROR_PER_COORDINATE
 
 

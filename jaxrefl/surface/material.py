@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrefl._types import Hits, Scene
-from jaxrefl.core import cross, dot, normalise
+from jaxrefl.core import cross, dot
+from jaxrefl.core.safe import normalise
 from jaxrefl.scene.textures import texture_rgba
 from jaxrefl.surface.interpolate import interpolate
 

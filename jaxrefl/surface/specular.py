@@ -1,8 +1,8 @@
 """The specular side of a surface: which pixels have one, where it looks, and how much of it is seen.
 
-The specular lobe is GGX with Smith masking. Techniques estimate the *mean radiance* within the lobe; what that mean weighs in
-the image depends on the surface and the viewer alone and is computed here, once, for the composite as for hits seen
-in reflections.
+The specular lobe is GGX with Smith masking. Techniques estimate the *mean radiance* within the lobe; what that mean
+weighs in the image depends on the surface and the viewer alone and is computed here, once, for the composite as for
+hits seen in reflections.
 """
 
 import jax.numpy as jnp
@@ -13,10 +13,7 @@ from jaxrefl.core import (
     dot,
     f0_from_eta,
     fresnel_dielectric,
-    ggx_albedo,
     lerp,
-    lobe_fresnel_cosine,
-    normalise,
     reflect,
     refract,
     sample_visible_normal,
@@ -25,6 +22,8 @@ from jaxrefl.core import (
     to_local,
     to_world,
 )
+from jaxrefl.core.albedo import ggx_albedo, lobe_fresnel_cosine
+from jaxrefl.core.safe import normalise
 
 GRAZING = 1e-3
 """Smallest sine by which a reflected direction stays above the geometric surface."""
@@ -119,8 +118,8 @@ def specular_weight(
     Args:
         gbuffer: Any G-buffer.
         fresnel: "exact" dielectric equations, or "schlick" as in glTF and most game engines; metals use Schlick.
-        multiple_scattering: Add the light that leaves after several bounces between microfacets. Without it a white metal loses
-            up to 60 % at alpha 1, as it does in renderers with single scattering.
+        multiple_scattering: Add the light that leaves after several bounces between microfacets. Without it a white
+            metal loses up to 60 % at alpha 1, as it does in renderers with single scattering.
     Returns:
         Weight per channel, in [0, 1]; 0 where the surface is not reflective.
     Raises:
@@ -162,9 +161,7 @@ def transmission_weight(gbuffer: GBuffer, specular: Float[Array, "*b 3"]) -> Flo
     return (1 - specular) * gbuffer.base_colour * share[..., None]
 
 
-def sample_reflection(
-    gbuffer: GBuffer, u: Float[Array, "*b 2"]
-) -> tuple[Float[Array, "*b 3"], Float[Array, "*b"]]:
+def sample_reflection(gbuffer: GBuffer, u: Float[Array, "*b 2"]) -> tuple[Float[Array, "*b 3"], Float[Array, "*b"]]:
     """A direction from the specular lobe, by its visible normals.
 
     $$ w = G_2 / G_1 $$
@@ -187,9 +184,7 @@ def sample_reflection(
     return direction, jnp.where(smooth, 1, jnp.where(above, ratio, 0))
 
 
-def sample_refraction(
-    gbuffer: GBuffer, thin: Bool[Array, "*b"], u: Float[Array, "*b 2"]
-) -> Float[Array, "*b 3"]:
+def sample_refraction(gbuffer: GBuffer, thin: Bool[Array, "*b"], u: Float[Array, "*b 2"]) -> Float[Array, "*b 3"]:
     """A direction through a refractive surface, by its visible normals.
 
     Args:

@@ -1,4 +1,4 @@
-"""How a technique names its knobs: one place per technique, with range and meaning, read by the command line and sweeps.
+"""How a technique names its knobs: in one place, with range and meaning, for the command line and for sweeps.
 
 `Params` are `equinox.Module`s whose fields are made by `tunable`: traced scalars, so a new value does not recompile.
 `Options` are frozen dataclasses whose fields are made by `option`: static, for whatever sets a shape or a branch.

@@ -14,7 +14,7 @@ TECHNIQUES: dict[str, Technique] = {
     technique.name: technique
     for technique in (
         _technique("raytrace", "Brute force: mirror rays, or n GGX samples, for every reflective pixel.", raytrace),
-        _technique("envmap", "Classic environment mapping: a prefiltered map captured per reflector or per scene.", envmap),
+        _technique("envmap", "Environment mapping: a prefiltered map captured once per reflector or scene.", envmap),
     )
 }
 """Techniques in the order in which a reader should meet them."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Shaped
 
@@ -39,7 +40,7 @@ class Technique(NamedTuple):
     """Static knobs."""
 
 
-@eqx.filter_jit
+@jax.jit
 def no_reflection(gbuffer: GBuffer) -> Reflection:
     """A reflection that is invalid everywhere: what a technique starts from.
 

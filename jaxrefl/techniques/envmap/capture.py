@@ -1,6 +1,7 @@
 """Capturing the surroundings of reflectors: Scene -> latitude-longitude maps."""
 
-import equinox as eqx
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,7 +78,7 @@ def capture(
     return _shade(scene, points, direct_light(scene, tracer, points, key, options=light), centre)
 
 
-@eqx.filter_jit
+@functools.partial(jax.jit, static_argnames="height")
 def _rays_around(centre: Float[Array, "3"], height: int) -> Rays:
     row = (jnp.arange(height, dtype=jnp.float32) + 0.5) / height
     column = (jnp.arange(2 * height, dtype=jnp.float32) + 0.5) / (2 * height)
@@ -85,18 +86,18 @@ def _rays_around(centre: Float[Array, "3"], height: int) -> Rays:
     return Rays(jnp.broadcast_to(centre, direction.shape), direction)
 
 
-@eqx.filter_jit
+@jax.jit
 def _sees_itself(points: GBuffer, active: Bool[Array, "h w"], own: Int[Array, ""] | int) -> Bool[Array, "h w"]:
     return active & points.valid & (points.object == own)
 
 
-@eqx.filter_jit
+@jax.jit
 def _step_past(rays: Rays, points: GBuffer, active: Bool[Array, "h w"]) -> Rays:
     beyond = offset_origin(points.p, points.n, points.p_error, rays.direction)
     return Rays(jnp.where(active[..., None], beyond, rays.origin), rays.direction)
 
 
-@eqx.filter_jit
+@jax.jit
 def _merge(before: GBuffer, after: GBuffer, active: Bool[Array, "h w"]) -> GBuffer:
     def choose(old: Array, new: Array) -> Array:
         return jnp.where(active.reshape(active.shape + (1,) * (old.ndim - 2)), new, old)
@@ -104,7 +105,7 @@ def _merge(before: GBuffer, after: GBuffer, active: Bool[Array, "h w"]) -> GBuff
     return jax.tree.map(choose, before, after)
 
 
-@eqx.filter_jit
+@jax.jit
 def _shade(scene: Scene, points: GBuffer, light: Float[Array, "h w 3"], centre: Float[Array, "3"]):
     ambient = jnp.broadcast_to(scene.lights.ambient, light.shape)
     radiance = light + jnp.where(points.valid[..., None], specular_weight(points) * ambient, 0)

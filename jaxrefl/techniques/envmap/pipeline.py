@@ -1,19 +1,20 @@
 """Classic environment mapping: the baseline most users would pick instead.
 
-The surroundings are captured once from the centre of each reflector, as if they were infinitely far away, and read along the
-mirror direction. Nearby objects come out at the wrong place and the wrong size: that error is what the other techniques remove.
+The surroundings are captured once from the centre of each reflector, as if they were infinitely far away, and read
+along the mirror direction. Nearby objects come out at the wrong place and the wrong size: that error is what the other
+techniques remove.
 """
 
 import time
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrefl._status import Source
 from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
-from jaxrefl.core import norm, refract
+from jaxrefl.core import refract
+from jaxrefl.core.safe import norm
 from jaxrefl.radiance import DirectOptions
 from jaxrefl.surface import mirror_direction, reflective, refractive
 from jaxrefl.techniques._shape import no_reflection
@@ -49,9 +50,7 @@ def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State
     captured = []
     for number, (centre, own) in enumerate(sites):
         key = jax.random.fold_in(jax.random.key(0), number)
-        captured.append(
-            capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=light)
-        )
+        captured.append(capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=light))
     sharp = jnp.stack([radiance for radiance, _ in captured])
     alpha = level_alphas(options.levels)
     return State(
@@ -89,7 +88,7 @@ def step(
     return state, reflection, Info(0, {"lookup": time.perf_counter() - began}, counts)
 
 
-@eqx.filter_jit
+@jax.jit
 def _read(state: State, gbuffer: GBuffer) -> Reflection:
     row = state.map_of_object[jnp.maximum(gbuffer.object, 0)]
     valid = reflective(gbuffer) & (row >= 0)

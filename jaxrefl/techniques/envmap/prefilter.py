@@ -1,6 +1,7 @@
-"""Prefiltering captured maps with GGX lobes, by exact convolution: every texel of the result sums every texel of the map."""
+"""Prefiltering captured maps with GGX lobes by exact convolution: each texel of the result sums all of the map."""
 
-import equinox as eqx
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -21,11 +22,11 @@ def level_alphas(levels: int) -> Float[Array, "l"]:
     return jnp.linspace(0.05**0.5, 1.0, levels, dtype=jnp.float32) ** 2
 
 
-@eqx.filter_jit
+@functools.partial(jax.jit, static_argnames="height")
 def prefilter(sharp: Float[Array, "r h w 3"], alpha: Float[Array, "l"], height: int) -> Float[Array, "r l hr wr 3"]:
-    """Mean radiance of GGX lobes around every direction, with viewer and normal along the lobe's axis.
+    r"""Mean radiance of GGX lobes around every direction, with viewer and normal along the lobe's axis.
 
-    $$ L_\\alpha(r) = \\frac{\\int D(r \\cdot h, \\alpha)\\, (r \\cdot l)\\, L(l)\\, dl}{\\int D(r \\cdot h, \\alpha)\\, (r \\cdot l)\\, dl} $$
+    $$ L_\alpha(r) = \int k\, L(l)\, dl \Big/ \int k\, dl, \qquad k = D(r \cdot h, \alpha)\, (r \cdot l) $$
 
     Args:
         sharp: Captured maps.

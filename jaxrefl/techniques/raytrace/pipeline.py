@@ -62,7 +62,7 @@ def step(
     for key, (name, (mask, samples)) in zip(jax.random.split(frame.key), classes.items(), strict=True):
         for number, index in enumerate(blocks_of(mask, size=options.block)):
             block = _trace_block(frame, index, jax.random.fold_in(key, number), samples, options)
-            result = put_block(result, index, block)
+            result = put_block(index, result, block)
         counts[f"{name}_pixels"] = int(mask.sum())
     result = jax.block_until_ready(result)
     seconds = {"trace": time.perf_counter() - began}

@@ -48,7 +48,7 @@ def _lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array,
     return (shift + jnp.broadcast_to(step, shift.shape)) % 1
 
 
-@eqx.filter_jit
+@jax.jit
 def reflected_rays(
     points: GBuffer, active: Bool[Array, "n"], key: Array, sample: Int[Array, ""]
 ) -> tuple[Rays, Float[Array, "n"]]:
@@ -67,7 +67,7 @@ def reflected_rays(
     return rays, jnp.where(active, weight, 0)
 
 
-@eqx.filter_jit
+@jax.jit
 def refracted_rays(
     scene: Scene, points: GBuffer, active: Bool[Array, "n"], key: Array, sample: Int[Array, ""]
 ) -> tuple[Rays, Bool[Array, "n"]]:
@@ -87,7 +87,7 @@ def refracted_rays(
     return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi), active & refractive(points)
 
 
-@eqx.filter_jit
+@jax.jit
 def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
     """Add one reflected sample per point.
 
@@ -110,7 +110,7 @@ def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sum
     )
 
 
-@eqx.filter_jit
+@jax.jit
 def add_transmitted(sums: Sums, samples: int, light: Incoming) -> Sums:
     """Add one refracted sample per point.
 
@@ -124,7 +124,7 @@ def add_transmitted(sums: Sums, samples: int, light: Incoming) -> Sums:
     return eqx.tree_at(lambda s: s.transmitted, sums, sums.transmitted + light.radiance / samples)
 
 
-@eqx.filter_jit
+@jax.jit
 def reflection_of(sums: Sums) -> Reflection:
     """Means of the samples.
 
