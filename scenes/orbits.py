@@ -10,8 +10,9 @@ from jaxtyping import Float
 
 from jaxrefl._types import Camera, Size
 from jaxrefl.core.cameras import look_at
+from scenes._check import Real
 
-Eye = tuple[float, float, float]
+Eye = tuple[Real, Real, Real]
 
 
 def check_frames(frames: int) -> None:
@@ -27,7 +28,7 @@ def check_frames(frames: int) -> None:
 
 
 def loop(
-    frames: int, *, eye: Eye, target: Eye, sway: float = 15.0, rise: float = 4.0, fov_y: float = 45.0, size: Size
+    frames: int, *, eye: Eye, target: Eye, sway: Real = 15.0, rise: Real = 4.0, fov_y: Real = 45.0, size: Size
 ) -> tuple[Camera, ...]:
     r"""A closed loop in front of a target: the eye sways to both sides and rises a little in between.
 
@@ -62,7 +63,7 @@ def loop(
 
 
 def orbit(
-    frames: int, *, eye: Eye, target: Eye, step: float = 3.0, fov_y: float = 45.0, size: Size
+    frames: int, *, eye: Eye, target: Eye, step: Real = 3.0, fov_y: Real = 45.0, size: Size
 ) -> tuple[Camera, ...]:
     """A circle about the vertical through a target.
 
@@ -87,6 +88,6 @@ def orbit(
     return tuple(look_at(position, target, fov_y=fov_y, size=size) for position in eyes)
 
 
-def _direction(heading: float, elevation: float) -> Float[np.ndarray, "3"]:
+def _direction(heading: Real, elevation: Real) -> Float[np.ndarray, "3"]:
     level = math.cos(elevation)
     return np.array([level * math.sin(heading), math.sin(elevation), level * math.cos(heading)])

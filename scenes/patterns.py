@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrefl.scene.description import Image
+from scenes._check import Real
 
-Colour = tuple[float, float, float]
+Colour = tuple[Real, Real, Real]
 
 
-def checker(name: str, first: Colour, second: Colour, *, tiles: int = 2, texels: int = 128, joint: float = 0.0) -> Image:
+def checker(name: str, first: Colour, second: Colour, *, tiles: int = 2, texels: int = 128, joint: Real = 0.0) -> Image:
     """Squares in two colours.
 
     Args:
@@ -65,7 +66,9 @@ def planks(name: str, colour: Colour, *, rows: int = 8, texels: int = 256) -> Im
     board = 2 * row[:, None] + np.floor((u[None, :] + shift[:, None]) * 2).astype(int) % 2
     tone = 1 + 0.22 * np.sin(2.4 * board + 1.3 * row[:, None])
     wave = 0.35 * np.sin(2 * np.pi * u)[None, :] + 1.7 * board
-    grain = 1 + 0.07 * np.sin(2 * np.pi * (5 * across[:, None] + wave)) * np.sin(2 * np.pi * (2 * across[:, None] + 2 * wave))
+    grain = 1 + 0.07 * np.sin(2 * np.pi * (5 * across[:, None] + wave)) * np.sin(
+        2 * np.pi * (2 * across[:, None] + 2 * wave)
+    )
     edge = np.minimum(across % 1, 1 - across % 1)[:, None] < 0.03
     end = np.abs((u[None, :] + shift[:, None]) * 2 % 1 - 0.5) > 0.5 - 0.006
     value = tone * grain * np.where(edge | end, 0.4, 1.0)

@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrefl.scene.description import Material, Part
+from scenes._check import Real
 
 Points = Float[np.ndarray, "n 3"]
 Profile = Float[np.ndarray, "k 2"]
+Piece = tuple[Float[np.ndarray, "_ 2"], Float[np.ndarray, "_ 2"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Geometry:
     uv: Float[np.ndarray, "v 2"]
     """Texture coordinates."""
 
-    def moved(self, *, to=(0.0, 0.0, 0.0), turn: float = 0.0, tilt: float = 0.0, scale: float = 1.0) -> "Geometry":
+    def moved(self, *, to=(0.0, 0.0, 0.0), turn: Real = 0.0, tilt: Real = 0.0, scale: Real = 1.0) -> "Geometry":
         """The shape scaled, tilted, turned and shifted, in this order.
 
         Args:
@@ -82,7 +84,7 @@ def merge(*shapes: Geometry) -> Geometry:
     )
 
 
-def rectangle(corner, right, up, *, tiles: tuple[float, float] = (1.0, 1.0)) -> Geometry:
+def rectangle(corner, right, up, *, tiles: tuple[Real, Real] = (1.0, 1.0)) -> Geometry:
     """A flat parallelogram of two triangles that faces `right x up`.
 
     Args:
@@ -170,7 +172,7 @@ def grid_faces(rows: int, columns: int) -> Int[np.ndarray, "f 3"]:
     return np.stack([np.stack([a, c, b], -1), np.stack([a, d, c], -1)], -2).reshape(-1, 3)
 
 
-def arc(centre, radius: float, start: float, stop: float, segments: int) -> tuple[Profile, Profile]:
+def arc(centre, radius: Real, start: Real, stop: Real, segments: int) -> Piece:
     """Piece of a lathe profile: a circular arc and its normals.
 
     Args:
@@ -189,7 +191,7 @@ def arc(centre, radius: float, start: float, stop: float, segments: int) -> tupl
     return points, math.copysign(1, radius) * outward
 
 
-def line(start, stop) -> tuple[Profile, Profile]:
+def line(start, stop) -> Piece:
     """Piece of a lathe profile: a straight line, with the outside on its right.
 
     Args:
@@ -203,7 +205,7 @@ def line(start, stop) -> tuple[Profile, Profile]:
     return points, np.broadcast_to(np.array([y, -r]) / math.hypot(r, y), (2, 2)).copy()
 
 
-def chain(*pieces: tuple[Profile, Profile]) -> tuple[Profile, Profile]:
+def chain(*pieces: Piece) -> Piece:
     """Pieces of a lathe profile one after another, with a crease or a doubled point where they meet.
 
     Args:
@@ -214,7 +216,7 @@ def chain(*pieces: tuple[Profile, Profile]) -> tuple[Profile, Profile]:
     return np.concatenate([p for p, _ in pieces]), np.concatenate([n for _, n in pieces])
 
 
-def sphere(radius: float, *, around: int) -> Geometry:
+def sphere(radius: Real, *, around: int) -> Geometry:
     """A sphere about the origin.
 
     Args:
@@ -226,7 +228,7 @@ def sphere(radius: float, *, around: int) -> Geometry:
     return lathe(*arc((0, 0), radius, -90, 90, max(2, around // 2)), around=around)
 
 
-def cylinder(bottom: float, top: float, height: float, *, around: int) -> Geometry:
+def cylinder(bottom: Real, top: Real, height: Real, *, around: int) -> Geometry:
     """A cylinder or truncated cone that stands on y = 0.
 
     Args:
@@ -243,7 +245,7 @@ def cylinder(bottom: float, top: float, height: float, *, around: int) -> Geomet
     return lathe(*chain(*pieces), around=around)
 
 
-def torus(ring: float, tube: float, *, around: int) -> Geometry:
+def torus(ring: Real, tube: Real, *, around: int) -> Geometry:
     """A torus about the y axis.
 
     Args:
@@ -258,7 +260,7 @@ def torus(ring: float, tube: float, *, around: int) -> Geometry:
     return lathe(points, normals, around=around)
 
 
-def sweep(path: Points, radius: float, *, around: int) -> Geometry:
+def sweep(path: Points, radius: Real, *, around: int) -> Geometry:
     """A round tube along a smooth open curve, with flat ends.
 
     Args:
@@ -281,9 +283,7 @@ def sweep(path: Points, radius: float, *, around: int) -> Geometry:
     rings = path[:, None] + radius * normals
     steps = np.linspace(0, 1, len(path))
     uv = np.stack(np.broadcast_arrays(1 - np.linspace(0, 1, around + 1), 1 - steps[:, None]), -1)
-    wall = Geometry(
-        rings.reshape(-1, 3), grid_faces(len(path), around + 1), normals.reshape(-1, 3), uv.reshape(-1, 2)
-    )
+    wall = Geometry(rings.reshape(-1, 3), grid_faces(len(path), around + 1), normals.reshape(-1, 3), uv.reshape(-1, 2))
     return merge(wall, fan(rings[0], -tangent[0]), fan(rings[-1, ::-1], tangent[-1]))
 
 

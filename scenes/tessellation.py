@@ -8,12 +8,13 @@ import math
 from collections.abc import Callable
 
 from jaxrefl.scene.description import Part
+from scenes._check import Real
 
 FEWEST, MOST = 1000, 1_100_000
 """Range of `triangles` that every built-in scene accepts."""
 
 
-def segments(detail: float, share: float, *, least: int = 4) -> int:
+def segments(detail: Real, share: Real, *, least: int = 4) -> int:
     """Number of segments around a shape.
 
     Args:
@@ -26,7 +27,7 @@ def segments(detail: float, share: float, *, least: int = 4) -> int:
     return max(least + least % 2, 2 * round(0.5 * detail * share))
 
 
-def tessellate(triangles: int, make: Callable[[float], list[Part]]) -> list[Part]:
+def tessellate(triangles: int, make: Callable[[Real], list[Part]]) -> list[Part]:
     """The parts of a scene at the detail that comes closest to a number of triangles.
 
     Args:
@@ -41,6 +42,7 @@ def tessellate(triangles: int, make: Callable[[float], list[Part]]) -> list[Part
         raise ValueError(f"triangles: expected a whole number from {FEWEST} to {MOST}, got {triangles}")
     low, high, detail = 0.0, math.inf, 1.0
     best, parts = math.inf, make(detail)
+    chosen = parts
     for _ in range(12):
         count = sum(len(part.faces) for part in parts)
         error = abs(math.log(count / triangles))
