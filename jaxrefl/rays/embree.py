@@ -2,8 +2,8 @@
 
 Everything embreex reports is translated here, once: misses (`primID == -1`, `tfar == 1e37`) become `valid == False`
 with zeros, the unnormalised normal is dropped (the G-buffer computes its own from the vertices), and `tfar`, which
-counts in lengths of the direction, is a distance because `Rays.direction` is unit. Embree runs in its robust mode, which
-is watertight along shared edges.
+counts in lengths of the direction, is a distance because `Rays.direction` is unit. Embree runs in its robust mode,
+which is watertight along shared edges.
 """
 
 import math

@@ -1,6 +1,6 @@
 """The one shape of every technique: what the runner can rely on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +19,7 @@ class Info(eqx.Module):
     """Rays cast in this step."""
     seconds: dict[str, float]
     """Wall-clock seconds per stage; sums to the time of the step."""
-    counts: dict[str, int | float | Shaped[Array, ""]]
+    counts: Mapping[str, int | float | Shaped[Array, ""]]
     """The technique's own counts, by name (overflow, recomputed pixels, clusters, ...)."""
 
 

@@ -1,5 +1,7 @@
 """One block of pixels: lobe samples -> rays -> mean radiance of the lobe."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -121,7 +123,8 @@ def add_transmitted(sums: Sums, samples: int, light: Incoming) -> Sums:
     Returns:
         The new sums.
     """
-    return eqx.tree_at(lambda s: s.transmitted, sums, sums.transmitted + light.radiance / samples)
+    before = jnp.zeros_like(light.radiance) if sums.transmitted is None else sums.transmitted
+    return dataclasses.replace(sums, transmitted=before + light.radiance / samples)
 
 
 @jax.jit
