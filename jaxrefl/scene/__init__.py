@@ -1,0 +1,37 @@
+"""Scene files -> `Scene`: reading, repairing, changing and assembling; and what is looked up in a scene later."""
+
+from .assemble import assemble as assemble
+from .description import Description as Description
+from .description import Image as Image
+from .description import Material as Material
+from .description import Part as Part
+from .description import PunctualLight as PunctualLight
+from .description import Sky as Sky
+from .description import constant_sky as constant_sky
+from .description import emitter as emitter
+from .description import glass as glass
+from .description import glossy as glossy
+from .description import matte as matte
+from .description import mirror as mirror
+from .environment import build_environment as build_environment
+from .environment import environment_pdf as environment_pdf
+from .environment import environment_radiance as environment_radiance
+from .environment import sample_environment as sample_environment
+from .errors import SceneError as SceneError
+from .errors import SceneWarning as SceneWarning
+from .features import feature_reasons as feature_reasons
+from .features import find_features as find_features
+from .images import read_image as read_image
+from .images import read_radiance as read_radiance
+from .inventory import format_inventory as format_inventory
+from .inventory import inventory as inventory
+from .lights import build_lights as build_lights
+from .load import describe_file as describe_file
+from .load import load as load
+from .normals import smooth_normals as smooth_normals
+from .overrides import Overrides as Overrides
+from .overrides import apply_overrides as apply_overrides
+from .overrides import read_overrides as read_overrides
+from .placement import placed as placed
+from .textures import build_textures as build_textures
+from .textures import texture_rgba as texture_rgba

@@ -13,7 +13,8 @@ from jaxrefl.scene.errors import SceneError
 from jaxrefl.scene.features import find_features
 from jaxrefl.scene.lights import build_lights
 from jaxrefl.scene.materials import distinct_materials, material_table
-from jaxrefl.scene.meshes import Merged, checked_part, merge, without_degenerate_triangles
+from jaxrefl.scene.meshes import Merged, merge
+from jaxrefl.scene.parts import checked_part, without_degenerate_triangles
 from jaxrefl.scene.textures import build_textures
 
 
@@ -31,8 +32,7 @@ def assemble(description: Description) -> Scene:
         (normals, uv, tangents, colours) are None.
     """
     notes = list(description.notes)
-    parts = [without_degenerate_triangles(checked_part(part), notes) for part in description.parts]
-    parts = [part for part in parts if len(part.faces)]
+    parts = without_degenerate_triangles([checked_part(part) for part in description.parts], notes)
     if not parts:
         raise SceneError(f"scene {description.name!r}: expected at least one triangle with an area, got none")
     table, material_rows = distinct_materials([part.material for part in parts])

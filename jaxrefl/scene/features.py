@@ -5,10 +5,7 @@ import dataclasses
 import numpy as np
 
 from jaxrefl._types import Features, Lights, Materials, Mesh, Scene
-from jaxrefl.scene.normals import face_normals
-
-FLAT_COSINE = float(np.cos(np.radians(0.1)))
-"""Vertex normals within 0.1 degrees of the face normal make a flat triangle."""
+from jaxrefl.scene.normals import FLAT_COSINE, face_normals
 
 PLANAR_SHARE = 0.01
 """A plane is a planar reflector of its own if it holds this share of its object's reflective area."""

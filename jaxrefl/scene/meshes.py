@@ -1,6 +1,6 @@
-"""Parts -> one `Mesh`: checks, removal of triangles that cannot be rendered, and merging.
+"""Parts -> one mesh: common attributes for all, tangents where normal maps need them, one list of triangles.
 
-Input: `Part`s of a `Description` (NumPy). Output: NumPy arrays gathered in `Merged`, which `assemble` hands to JAX.
+Input: checked `Part`s (NumPy, see `parts.py`). Output: `Merged`, whose arrays `assemble` hands to JAX.
 """
 
 import dataclasses
@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxrefl._validate import checked_array, checked_indices
 from jaxrefl.scene.description import Part
-from jaxrefl.scene.errors import SceneError
 from jaxrefl.scene.normals import face_normals, repaired_normals
+from jaxrefl.scene.parts import gathered
 from jaxrefl.scene.tangents import any_orthogonal, vertex_tangents
 
 
@@ -27,85 +26,6 @@ class Merged:
     uv: np.ndarray | None
     tangents: np.ndarray | None
     colours: np.ndarray | None
-
-
-def checked_part(part: Part) -> Part:
-    """A part whose arrays have the right shapes and whose indices point at its vertices.
-
-    Args:
-        part: Any part.
-    Returns:
-        The same part with positions in float64 and indices in int64.
-    Raises:
-        SceneError: If a shape is wrong, an index is out of range, or a position, texture coordinate or colour is NaN
-            or infinite; names the object and the array.
-    Edge cases: normals may be of any length, NaN and zero included; `merge` repairs them and counts.
-    """
-    v = len(part.vertices)
-    try:
-        return dataclasses.replace(
-            part,
-            vertices=checked_array("vertices", part.vertices, (None, 3)),
-            faces=checked_indices("faces", part.faces, v),
-            normals=_checked_attribute("normals", part.normals, (v, 3), finite=False),
-            uv=_checked_attribute("uv", part.uv, (v, 2)),
-            tangents=_checked_attribute("tangents", part.tangents, (v, 4)),
-            colours=_checked_attribute("colours", part.colours, (v, 3)),
-        )
-    except ValueError as error:
-        raise SceneError(f"object {part.name!r}: {error}") from error
-
-
-def without_broken_triangles(part: Part, notes: list[str]) -> Part:
-    """A part without the triangles that touch a NaN or infinite position; for data from files.
-
-    Args:
-        part: A part whose indices are in range.
-        notes: Receives a sentence with the count if there are any.
-    Returns:
-        The part; bad positions, texture coordinates and colours are set to 0.
-    """
-    finite = np.isfinite(part.vertices).all(1)
-    replaced = {}
-    if not finite.all():
-        keep = finite[part.faces].all(1)
-        replaced = {"vertices": np.where(finite[:, None], part.vertices, 0.0), "faces": part.faces[keep]}
-        notes.append(
-            f"object {part.name!r}: {int((~finite).sum())} vertices are NaN or infinite; "
-            f"left out {int((~keep).sum())} triangles that use them"
-        )
-    for name in ("uv", "colours"):
-        values = getattr(part, name)
-        if values is not None and not np.isfinite(values).all():
-            bad = ~np.isfinite(values)
-            notes.append(f"object {part.name!r}: {int(bad.any(1).sum())} {name} are NaN or infinite; set to 0")
-            replaced[name] = np.where(bad, 0.0, values)
-    return dataclasses.replace(part, **replaced) if replaced else part
-
-
-def without_degenerate_triangles(part: Part, notes: list[str]) -> Part:
-    """A part without the triangles that have no area, and without vertices that no triangle uses.
-
-    Args:
-        part: A checked part.
-        notes: Receives a sentence with the count if there are any.
-    Returns:
-        The part; it may be empty.
-    """
-    vertices = part.vertices.astype(np.float32)
-    _, areas = face_normals(vertices, part.faces)
-    keep = areas > 0
-    dropped = int((~keep).sum())
-    if dropped:
-        notes.append(f"object {part.name!r}: left out {dropped} of {len(keep)} triangles that have no area")
-    used = np.zeros(len(vertices), bool)
-    used[part.faces[keep].reshape(-1)] = True
-    if not dropped and used.all():
-        return part
-    row = np.cumsum(used) - 1
-    arrays = {name: getattr(part, name) for name in ("vertices", "normals", "uv", "tangents", "colours")}
-    arrays = {name: None if array is None else array[used] for name, array in arrays.items()}
-    return dataclasses.replace(part, faces=row[part.faces[keep]], **arrays)
 
 
 def merge(
@@ -156,7 +76,8 @@ def _prepared(part: Part, notes: list[str], smooth: bool, needs_tangents: bool) 
             f"object {part.name!r}: its material {part.material.name!r} is textured but it has no texture "
             "coordinates; the texture's corner (0, 0) is used everywhere"
         )
-    if not needs_tangents or part.uv is None:
+    uv = part.uv
+    if not needs_tangents or uv is None:
         return dataclasses.replace(part, tangents=None)
     if part.tangents is not None:
         return part
@@ -164,8 +85,8 @@ def _prepared(part: Part, notes: list[str], smooth: bool, needs_tangents: bool) 
     if part.normals is None:
         part = _unshared(part)
     assert normals is not None
-    faces, source, tangents = vertex_tangents(part.vertices, part.faces, normals, part.uv)
-    return dataclasses.replace(_gathered(part, faces, source), tangents=tangents)
+    faces, source, tangents = vertex_tangents(part.vertices, part.faces, normals, uv)
+    return dataclasses.replace(gathered(part, faces, source), tangents=tangents)
 
 
 def _unshared(part: Part) -> Part:
@@ -173,14 +94,7 @@ def _unshared(part: Part) -> Part:
     source = part.faces.reshape(-1)
     normals, _ = face_normals(part.vertices, part.faces)
     faces = np.arange(source.size).reshape(-1, 3)
-    return dataclasses.replace(_gathered(part, faces, source), normals=np.repeat(normals, 3, axis=0))
-
-
-def _gathered(part: Part, faces: np.ndarray, source: np.ndarray) -> Part:
-    """The part with new faces whose vertices are copies of the `source` vertices."""
-    names = ("normals", "uv", "tangents", "colours")
-    arrays = {n: None if getattr(part, n) is None else getattr(part, n)[source] for n in names}
-    return dataclasses.replace(part, vertices=part.vertices[source], faces=faces, **arrays)
+    return dataclasses.replace(gathered(part, faces, source), normals=np.repeat(normals, 3, axis=0))
 
 
 def _uses_texture(part: Part) -> bool:
@@ -206,7 +120,3 @@ def _stacked_tangents(parts: list[Part]) -> np.ndarray:
         n = part.normals if part.normals is not None else np.tile([0.0, 0.0, 1.0], (len(part.vertices), 1))
         arrays.append(np.concatenate([any_orthogonal(n), np.ones((len(n), 1))], 1))
     return np.concatenate(arrays).astype(np.float32)
-
-
-def _checked_attribute(name: str, value: np.ndarray | None, shape: tuple, *, finite: bool = True) -> np.ndarray | None:
-    return None if value is None else checked_array(name, value, shape, finite=finite)

@@ -6,6 +6,9 @@ vector and they do not contribute to their vertices.
 
 import numpy as np
 
+FLAT_COSINE = float(np.cos(np.radians(0.1)))
+"""Vertex normals within 0.1 degrees of the face normal make a flat triangle."""
+
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     r"""Unit normal and area of each triangle.
@@ -118,7 +121,7 @@ def repaired_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarra
         Unit normals [v 3], how many were finite but not of unit length (by more than 1 %), and how many were unusable
         (zero, NaN or infinite) at a vertex that a triangle uses.
     """
-    finite = np.isfinite(normals).all(1)
+    finite = np.asarray(np.isfinite(normals).all(axis=1))
     lengths = np.linalg.norm(np.where(finite[:, None], normals, 0.0), axis=1)
     usable = finite & (lengths > 0) & np.isfinite(lengths)
     result = normalised(np.where(usable[:, None], normals, 0.0))
