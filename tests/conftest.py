@@ -7,7 +7,7 @@ import os
 
 from jaxtyping import install_import_hook
 
-install_import_hook(["jaxrefl", "scenes"], "beartype.beartype")
+install_import_hook(["jaxrefl", "scenes"], "typechecker.check")
 
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
