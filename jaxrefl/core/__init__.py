@@ -1,6 +1,8 @@
 """Leaf maths: pure functions on "*b 3" that stay finite, with their gradients, on degenerate input."""
 
 from . import safe as safe
+from .albedo import ggx_albedo as ggx_albedo
+from .albedo import lobe_fresnel_cosine as lobe_fresnel_cosine
 from .cameras import look_at as look_at
 from .cameras import perspective as perspective
 from .cameras import project as project
