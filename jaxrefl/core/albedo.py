@@ -27,8 +27,8 @@ def ggx_albedo(
     """Scale A and bias B of the lobe's albedo f0 A + B under Schlick's Fresnel (f90 = 1).
 
     A + B is the share of light that single scattering returns from a lossless surface; the rest is lost by the model.
-    Largest errors over 2,000 pairs (cosine, alpha) against a far finer quadrature: 0.0007 for A, 0.0009 for B and 0.0005
-    for A + B.
+    Largest errors over 2,000 pairs (cosine, alpha) against a far finer quadrature: 0.0007 for A, 0.0009 for B, and
+    0.0005 for A + B.
 
     Args:
         cos_o: Cosine between the viewer and the normal, in [0, 1].
@@ -49,9 +49,10 @@ def lobe_fresnel_cosine(cos_o: Float[Array, "*#b"], alpha: Float[Array, "*#b"]) 
     $$ (1 - c)^5 = \frac{B}{A + B} $$
 
     is exact for Schlick's Fresnel by construction. With `fresnel_dielectric` in its place, the largest error over 2,000
-    pairs (cosine, alpha) is 0.023 for eta = 1.33, 0.016 for 1.5, 0.019 for 2 and 0.03 for 2.5; all near grazing at alpha
-    about 0.05, where the mirror's cosine would be wrong by 0.9. From inside a dense medium (eta < 1) total reflection
-    breaks the analogy with Schlick, and the error reaches 0.8 for wide lobes (0.1 in the quadratic mean for alpha < 0.3).
+    pairs (cosine, alpha) is 0.023 for eta = 1.33, 0.016 for 1.5, 0.019 for 2 and 0.03 for 2.5; all near grazing at
+    alpha about 0.05, where the mirror's cosine would be wrong by 0.9. From inside a dense medium (eta < 1) total
+    reflection breaks the analogy with Schlick: the error reaches 0.8 for wide lobes (root mean square 0.1 for
+    alpha < 0.3).
 
     Args:
         cos_o: Cosine between the viewer and the normal, in [0, 1].
