@@ -5,11 +5,15 @@ one `Part` per object and material, everything already in world space. `assemble
 """
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxrefl._types import Camera
+
+Colour = Sequence[float | int] | np.ndarray
+"""Three linear values: red, green, blue."""
 
 
 @dataclass(frozen=True)
@@ -26,22 +30,36 @@ class Image:
 
 @dataclass(frozen=True)
 class Material:
-    """A metallic-roughness material; see `jaxrefl.Materials` for the meaning of each field."""
+    """A metallic-roughness material; one row of `jaxrefl.Materials`."""
 
     name: str
+    """Name, for overrides and messages."""
     base_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Linear, in [0, 1]: diffuse albedo of a dielectric, specular colour of a metal."""
     metallic: float = 0.0
+    """0 dielectric to 1 metal."""
     alpha: float = 1.0
+    """GGX width in [0, 1]."""
     eta: float = 1.5
+    """Index of refraction, >= 1; exactly 1 with `metallic` 0 is matte."""
     transmission: float = 0.0
+    """Share of the non-reflected light that is refracted, in [0, 1]."""
     attenuation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Absorption coefficient inside, per world unit, >= 0."""
     thin: bool = False
+    """True: a pane without volume."""
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Emitted radiance, linear, >= 0."""
     base_colour_texture: Image | None = None
+    """sRGB-coded factor on `base_colour`."""
     metallic_roughness_texture: Image | None = None
+    """G: perceptual roughness, whose square is a factor on `alpha`; B: factor on `metallic`."""
     normal_texture: Image | None = None
+    """Tangent space normals."""
     normal_scale: float = 1.0
+    """Factor on the x and y of the normal map."""
     emission_texture: Image | None = None
+    """sRGB-coded factor on `emission`."""
 
     @property
     def reflective(self) -> bool:
@@ -53,31 +71,79 @@ class Material:
         return dataclasses.replace(self, **changes)
 
 
-def matte(name: str, colour) -> Material:
-    """A purely diffuse material: index 1, so no reflection at all."""
-    return Material(name, base_colour=tuple(colour), alpha=1.0, eta=1.0)
+def matte(name: str, colour: Colour) -> Material:
+    """A purely diffuse material: index 1, so no reflection at all.
+
+    Args:
+        name: Name of the material.
+        colour: Albedo, linear, in [0, 1].
+    Returns:
+        The material.
+    """
+    return Material(name, base_colour=_triple(colour), alpha=1.0, eta=1.0)
 
 
-def mirror(name: str, colour=(0.95, 0.95, 0.95)) -> Material:
-    """A perfect metal mirror with the given specular colour."""
-    return Material(name, base_colour=tuple(colour), metallic=1.0, alpha=0.0)
+def mirror(name: str, *, colour: Colour = (0.95, 0.95, 0.95)) -> Material:
+    """A perfect metal mirror.
+
+    Args:
+        name: Name of the material.
+        colour: Specular colour at normal incidence, in [0, 1].
+    Returns:
+        The material.
+    """
+    return Material(name, base_colour=_triple(colour), metallic=1.0, alpha=0.0)
 
 
-def glossy(name: str, colour, *, alpha: float, metallic: float = 0.0, eta: float = 1.5) -> Material:
-    """A glossy dielectric (or, with `metallic` 1, metal)."""
-    return Material(name, base_colour=tuple(colour), metallic=metallic, alpha=alpha, eta=eta)
+def glossy(name: str, colour: Colour, *, alpha: float, metallic: float = 0.0, eta: float = 1.5) -> Material:
+    """A glossy dielectric (or, with `metallic` 1, metal).
+
+    Args:
+        name: Name of the material.
+        colour: Base colour, linear, in [0, 1].
+        alpha: GGX width in [0, 1].
+        metallic: 0 dielectric to 1 metal.
+        eta: Index of refraction, >= 1.
+    Returns:
+        The material.
+    """
+    return Material(name, base_colour=_triple(colour), metallic=metallic, alpha=alpha, eta=eta)
 
 
-def glass(name: str, colour=(1.0, 1.0, 1.0), *, eta: float = 1.5, alpha: float = 0.0, attenuation=(0.0, 0.0, 0.0)):
-    """A refractive dielectric."""
+def glass(
+    name: str,
+    *,
+    colour: Colour = (1.0, 1.0, 1.0),
+    eta: float = 1.5,
+    alpha: float = 0.0,
+    attenuation: Colour = (0.0, 0.0, 0.0),
+) -> Material:
+    """A refractive dielectric.
+
+    Args:
+        name: Name of the material.
+        colour: What passes the surface, in [0, 1].
+        eta: Index of refraction, >= 1.
+        alpha: GGX width in [0, 1].
+        attenuation: Absorption coefficient inside, per world unit, >= 0.
+    Returns:
+        The material.
+    """
     return Material(
-        name, base_colour=tuple(colour), alpha=alpha, eta=eta, transmission=1.0, attenuation=tuple(attenuation)
+        name, base_colour=_triple(colour), alpha=alpha, eta=eta, transmission=1.0, attenuation=_triple(attenuation)
     )
 
 
-def emitter(name: str, radiance) -> Material:
-    """A light source: emits `radiance` from both sides and reflects nothing."""
-    return Material(name, base_colour=(0.0, 0.0, 0.0), eta=1.0, emission=tuple(radiance))
+def emitter(name: str, radiance: Colour) -> Material:
+    """A light source: emits from both sides and reflects nothing.
+
+    Args:
+        name: Name of the material.
+        radiance: Emitted radiance, linear, >= 0.
+    Returns:
+        The material.
+    """
+    return Material(name, base_colour=(0.0, 0.0, 0.0), eta=1.0, emission=_triple(radiance))
 
 
 @dataclass(frozen=True)
@@ -91,6 +157,7 @@ class Part:
     faces: np.ndarray
     """[f 3] integer vertex indices, counter-clockwise from the outside."""
     material: Material
+    """What the triangles are made of."""
     normals: np.ndarray | None = None
     """[v 3] shading normals, any length; None: flat."""
     uv: np.ndarray | None = None
@@ -103,16 +170,24 @@ class Part:
 
 @dataclass(frozen=True)
 class PunctualLight:
-    """A point, spot or directional light; see `jaxrefl.PunctualLights`."""
+    """A point, spot or directional light; one row of `jaxrefl.PunctualLights`."""
 
     name: str
+    """Name, for messages."""
     intensity: tuple[float, float, float]
+    """Radiant intensity (points, spots) or irradiance on a surface facing the light (directional)."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World position; not used by directional lights."""
     direction: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    """Direction in which the light shines; not used by points."""
     directional: bool = False
+    """True: parallel light."""
     cos_inner: float = -1.0
+    """Cosine of the angle inside which a spot has its full intensity."""
     cos_outer: float = -2.0
+    """Cosine of the angle outside which a spot is dark; below -1 for points."""
     angular_radius: float = 0.0
+    """Half angle under which a directional light is seen, radians."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +199,17 @@ class Sky:
     world_from_map: np.ndarray = field(default_factory=lambda: np.eye(3))
     """[3 3] rotation from map to world directions."""
     name: str = "sky"
+    """Name, for messages."""
 
 
-def constant_sky(colour) -> Sky:
-    """The same radiance from every direction."""
+def constant_sky(colour: Colour) -> Sky:
+    """The same radiance from every direction.
+
+    Args:
+        colour: Linear radiance, >= 0.
+    Returns:
+        The sky.
+    """
     return Sky(np.asarray(colour, np.float32).reshape(1, 1, 3), name="constant sky")
 
 
@@ -136,10 +218,21 @@ class Description:
     """A whole scene before it becomes arrays."""
 
     name: str
+    """Name of the scene."""
     parts: list[Part]
+    """All triangles."""
     lights: list[PunctualLight] = field(default_factory=list)
+    """Lights without a shape; those with one are parts whose material emits."""
     sky: Sky | None = None
+    """Light from infinitely far away; None: black."""
     ambient: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Constant radiance from all directions, without shadows, on top of everything else."""
     cameras: dict[str, Camera] = field(default_factory=dict)
+    """Cameras by name."""
     notes: list[str] = field(default_factory=list)
     """What was assumed, changed or ignored so far, one sentence each."""
+
+
+def _triple(values: Colour) -> tuple[float, float, float]:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue

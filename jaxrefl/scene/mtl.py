@@ -129,12 +129,12 @@ def _surface(
     eta = number.get("ni", 1.5)
     eta = eta if eta > 1 else 1.5
     if illum in (3, 5) and ks.max() > 0:
-        return mirror(name, _triple(ks))
+        return mirror(name, colour=_triple(ks))
     if illum in (4, 6, 7, 9):
         if ks.max() > 0:
             notes.append(f"material {name!r}: Ks is ignored; glass reflects by its index Ni = {eta:g}")
         passes = _clamped(name, "Tf", colour.get("tf", np.ones(3)), notes)
-        return glass(name, _triple(np.sqrt(passes)), eta=eta)
+        return glass(name, colour=_triple(np.sqrt(passes)), eta=eta)
     opacity = min(max(number.get("d", 1.0 - number.get("tr", 0.0)), 0.0), 1.0)
     if illum in (0, 1) or ks.max() == 0:
         if opacity < 1:

@@ -56,12 +56,19 @@ class Overrides:
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Changes by object name or pattern; they win over those by material."""
     lights: list[PunctualLight] = field(default_factory=list)
+    """Lights to add."""
     cameras: dict[str, Camera] = field(default_factory=dict)
+    """Cameras to add, by name; they replace those of the file with the same name."""
     sky: SkySettings = field(default_factory=SkySettings)
+    """Sky or environment map; replaces that of the file if it says anything."""
     ambient: tuple[float, float, float] | None = None
+    """Ambient radiance; None keeps that of the file."""
     units: float | None = None
+    """World units per unit of the file; None: not said."""
     up: str | None = None
+    """Axis of the file that points up; None: not said."""
     crease_angle: float | None = None
+    """Degrees; None: not said."""
 
 
 def find_overrides(path: Path) -> Path | None:
@@ -206,9 +213,9 @@ def _changed(material: Material, change: dict[str, Any], source: str) -> Materia
         kept = kept.replace(base_colour_texture=None)
     makers: dict[str | None, Callable[[], Material]] = {
         None: lambda: _with_parameters(material, values),
-        "mirror": lambda: mirror(material.name, values.get("base_colour", (0.95, 0.95, 0.95))),
+        "mirror": lambda: mirror(material.name, colour=values.get("base_colour", (0.95, 0.95, 0.95))),
         "glossy": lambda: kept.replace(**{"alpha": 0.1, **values}),
-        "glass": lambda: glass(material.name, values.pop("base_colour", (1.0, 1.0, 1.0))).replace(**values),
+        "glass": lambda: glass(material.name, colour=values.pop("base_colour", (1.0, 1.0, 1.0))).replace(**values),
         "matte": lambda: kept.replace(**{**vars(matte(material.name, kept.base_colour)), **_pictures(kept), **values}),
         "emitter": lambda: emitter(material.name, values["radiance"]),
     }
