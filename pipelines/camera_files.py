@@ -59,8 +59,8 @@ def read_cameras(path: Path, *, frames: int, size: tuple[int, int], up: str = "y
     Returns:
         One camera per frame.
     Raises:
-        JobError: If the file holds fewer cameras, a matrix is singular, not finite or no 4x4 matrix, or the field of view is
-            missing or out of range; names the frame.
+        JobError: If the file holds fewer cameras, a matrix is singular, not finite or no 4x4 matrix, or the field of
+            view is missing or out of range; names the frame.
     """
     table = _read(path)
     if len(table["frames"]) < frames:

@@ -1,9 +1,9 @@
 """The camera of every frame: from a file, from keyframes, from the scene, or made up (and then it says so).
 
 - A built-in scene brings a path of its own.
-- A camera that stands still (a scene file's, or the only one of a camera file) is turned into a short closed loop around it
-  when several frames are asked for: frame 0 is the camera itself, the others turn about the point it looks at, by at most
-  `swing` degrees. The loop shrinks where something stands in its way.
+- A camera that stands still (a scene file's, or the only one of a camera file) is turned into a short closed loop
+  around it when several frames are asked for: frame 0 is the camera itself, the others turn about the point it looks at, by at
+  most `swing` degrees. The loop shrinks where something stands in its way.
 - A scene without any camera gets one that looks at its bounds from the front, a little from above and from the right.
 """
 
@@ -106,7 +106,7 @@ def loop_around(
 ) -> tuple[tuple[Camera, ...], float]:
     """A short closed loop around a camera that stands still.
 
-    $$ \\text{yaw} = s \\sin\\varphi, \\quad \\text{pitch} = \\tfrac{s}{4} \\sin 2\\varphi, \\quad \\varphi = 2\\pi i / n $$
+    $$ \\text{yaw} = s \\sin\\varphi, \\text{pitch} = \\tfrac{s}{4} \\sin 2\\varphi, \\varphi = 2\\pi i / n $$
 
     Args:
         camera: The camera; it is frame 0.

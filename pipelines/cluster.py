@@ -59,7 +59,7 @@ def render_remotely(
     text, waiting, said = job_text(job), list(units), set()
     with ExitStack() as stack:
         client = _connect(scheduler, stack)
-        from distributed import as_completed
+        from distributed import KilledWorker, as_completed
 
         running: dict[Any, Unit] = {}
         completed = as_completed()
@@ -73,7 +73,10 @@ def render_remotely(
                 completed.add(future)
             future = next(completed)
             running.pop(future)
-            frames, notes = future.result()
+            try:
+                frames, notes = future.result()
+            except KilledWorker as error:
+                raise ChildProcessError(f"workers died again and again on the same frames: {error}") from error
             for note in (n for n in notes if n not in said):
                 said.add(note)
                 progress.note(note)

@@ -1,4 +1,4 @@
-"""Job files: what to render, how, and against what. One TOML file holds all of it; the command line fills the same classes.
+"""Job files: what to render, how, and against what; the command line fills the same classes.
 
 A job is read, checked against what exists, and *resolved*: every default is written out, every path is absolute, every
 input file has its digest. The resolved job stands in the results folder, and rendering it again gives the same images.
@@ -228,17 +228,17 @@ def resolve(job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES) -> Jo
     Returns:
         The resolved job; resolving it again changes nothing.
     Raises:
-        JobError: If something the job names does not exist or does not fit, or if an input file is not the one the job was resolved with.
+        JobError: If something the job names does not exist or does not fit, or if an input file is not the one
+            the job was resolved with.
     """
     job = _with_paths(job, lambda p: str(Path(p).expanduser().absolute()))
     parameters = _scene_parameters(job.scene)
     facts = camera_file_facts(Path(job.camera.file)) if job.camera.file is not None else None
-    for name in job.technique:
-        find_technique(name, techniques)
-    named = {name: find_technique(name, techniques) for name in job.techniques}
     knobs = {
-        name: complete(technique_knobs(t), job.technique.get(name, {}), where=f"[technique.{name}]")
-        for name, t in named.items()
+        name: complete(
+            technique_knobs(find_technique(name, techniques)), job.technique.get(name, {}), where=f"[technique.{name}]"
+        )
+        for name in (*job.techniques, *job.technique)
     }
     resolved = dataclasses.replace(
         job,
@@ -247,7 +247,7 @@ def resolve(job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES) -> Jo
         size=job.size or (facts.size if facts else None) or DEFAULT_SIZE,
         light=complete(knobs_of(DirectOptions), job.light, where="[light]"),
         composite=complete(knobs_of(CompositeOptions), job.composite, where="[composite]"),
-        technique=knobs,
+        technique={name: knobs[name] for name in job.techniques},
         reference=None if job.reference is None else _resolve_reference(job, job.reference, techniques),
         digests=input_digests(job),
     )

@@ -1,7 +1,7 @@
 """Camera paths from keyframes: positions and targets on Catmull-Rom splines, rotations on a smooth rotation spline.
 
-The path passes through every keyframe. Frames are spread evenly over time, from the first keyframe to the last; on a closed
-path the last frame lies one step before the first.
+The path passes through every keyframe. Frames are spread evenly over time, from the first keyframe to the last; on a
+closed path the last frame lies one step before the first.
 """
 
 import dataclasses

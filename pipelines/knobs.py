@@ -39,12 +39,10 @@ class Knob:
 
     @property
     def explanation(self) -> str:
-        """The help sentence with the range or the choices behind it."""
-        if self.choices:
-            return f"{self.help} One of: {', '.join(self.choices)}."
+        """The help sentence with the range behind it."""
         if self.low is not None and self.high is not None:
-            return f"{self.help} From {self.low:g} to {self.high:g}."
-        return self.help if self.low is None else f"{self.help} At least {self.low:g}."
+            return f"{self.help} From {self.low} to {self.high}."
+        return self.help if self.low is None else f"{self.help} At least {self.low}."
 
     def checked(self, value: Any, *, where: str) -> bool | int | float | str:
         """The value in the knob's type.
@@ -67,7 +65,7 @@ class Knob:
             low = float("-inf") if self.low is None else self.low
             high = float("inf") if self.high is None else self.high
             if not low <= value <= high:
-                raise JobError(f"{where}: {self.name}: expected a value from {low:g} to {high:g}, got {value!r}")
+                raise JobError(f"{where}: {self.name}: expected a value from {low} to {high}, got {value!r}")
         return value
 
 
@@ -84,8 +82,8 @@ def knobs_of(*kinds: type) -> dict[str, Knob]:
     found: dict[str, Knob] = {}
     for kind in kinds:
         for field in dataclasses.fields(kind):
-            default = field.default
-            if issubclass(kind, eqx.Module):  # traced parameters are numbers, however their default is written
+            default: Any = field.default
+            if issubclass(kind, eqx.Module) and type(default) is int:  # a traced parameter is a float
                 default = float(default)
             if type(default) not in (bool, int, float, str):
                 raise TypeError(f"{kind.__module__}.{kind.__name__}.{field.name}: a knob needs a plain default")

@@ -1,7 +1,7 @@
 """Named channels of a frame's multi-layer EXR: G-buffer, diffuse light and Reflection -> [h w] planes.
 
-Where nothing is seen, or nothing is reflected, a channel holds the fill value of its type (0, ids -1, normals (0, 0, 1));
-`valid` and `reflected_valid` (1 or 0) say where.
+Where nothing is seen, or nothing is reflected, a channel holds the fill value of its type (0, ids -1, normals
+(0, 0, 1)); `valid` and `reflected_valid` (1 or 0) say where.
 """
 
 from typing import Any
@@ -37,7 +37,7 @@ def frame_channels(image: Any, gbuffer: GBuffer, diffuse: Any, reflection: Refle
         diffuse: [h w 3] emitted and diffusely reflected radiance.
         reflection: Incoming radiance before Fresnel and specular colour, and where it comes from.
     Returns:
-        [h w] float32 planes by channel name; optional ones (`motion`, `transmitted`, `emission`) where the scene has them.
+        [h w] float32 planes by channel name; `motion`, `transmitted` and `emission` where the scene has them.
     """
     planes = rgb_channels(image)
     planes |= _split(reflection.radiance, "reflection", "RGB")

@@ -74,9 +74,9 @@ def compile_seconds() -> Iterator[list[float]]:
     """
     spent: list[float] = []
 
-    def listen(event: str, duration: float, **_: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event.startswith(_COMPILE_EVENT):
-            spent.append(duration)
+            spent.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:

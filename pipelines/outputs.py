@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jax import Array
 
 TEMPORARY = ".part"
 """End of the name of a file that is being written."""
@@ -130,6 +131,6 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    if hasattr(value, "tolist"):  # NumPy and JAX numbers and arrays
+    if isinstance(value, np.generic | np.ndarray | Array):
         return _plain(value.tolist())
     return value

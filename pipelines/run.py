@@ -1,8 +1,8 @@
 """Running a job: plan the missing work, do it here or on workers, store each frame as it comes, write the tables.
 
-A run may be killed at any moment. Started again it plans only what is missing, and ends with the same images and figures
-as an unbroken run: every frame's randomness depends on the seed and its number alone, and errors are measured against the
-reference as it is on disk.
+A run may be killed at any moment. Started again it plans only what is missing, and ends with the same images and
+figures as an unbroken run: every frame's randomness depends on the seed and its number alone, and errors are measured
+against the reference as it is on disk.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -45,7 +45,7 @@ def run_job(
     Args:
         job: Any job; it is resolved first.
         out: Results folder; made if needed.
-        scheduler: None: this process; `local:N`: N processes of this machine; `tcp://...`: a dask.distributed scheduler.
+        scheduler: None: this process; `local:N`: N processes here; `tcp://...`: a dask.distributed scheduler.
         command: What was typed, for the rows.
         quiet: True: say nothing on the way.
         techniques: The techniques that exist; with a scheduler only those of `jaxrefl.techniques`.

@@ -15,7 +15,7 @@ from typing import Any
 
 
 class JobError(ValueError):
-    """A job, a flag or a camera path that cannot be used; the message names the place, what was expected and what came."""
+    """A job, flag or camera path that cannot be used; the message names the place, what was expected and what came."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -164,14 +164,19 @@ def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
 
 def _key(key: str) -> str:
     bare = key and all(c.isascii() and (c.isalnum() or c in "-_") for c in key)
-    return key if bare else json.dumps(key)
+    return key if bare else _string(key)
+
+
+def _string(text: str) -> str:
+    # JSON's escapes are TOML's, but for surrogate pairs (hence no ASCII) and the delete character.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return _string(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(item) for item in value) + "]"
     if isinstance(value, Mapping):
