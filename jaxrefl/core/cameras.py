@@ -5,12 +5,17 @@ is on top, so image y grows downwards while camera y grows upwards.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrefl._types import Camera, Size
+
+Numbers = np.ndarray | Array | Sequence[Any]
+"""What the host-side constructors take for a vector or matrix: an array, or (nested) sequences of numbers."""
 
 
 def _checked_size(size: Size) -> tuple[int, int]:
@@ -20,7 +25,7 @@ def _checked_size(size: Size) -> tuple[int, int]:
     return width, height
 
 
-def perspective(world_from_camera, *, fov_y: float, size: Size) -> Camera:
+def perspective(world_from_camera: Numbers, *, fov_y: float, size: Size) -> Camera:
     """Camera with square pixels and the principal point in the middle.
 
     Args:
@@ -54,7 +59,9 @@ def perspective(world_from_camera, *, fov_y: float, size: Size) -> Camera:
     )
 
 
-def look_at(eye, target, *, up=(0.0, 1.0, 0.0), fov_y: float = 45.0, size: Size = (512, 512)) -> Camera:
+def look_at(
+    eye: Numbers, target: Numbers, *, up: Numbers = (0.0, 1.0, 0.0), fov_y: float = 45.0, size: Size = (512, 512)
+) -> Camera:
     """Camera at `eye` that looks at `target`.
 
     Args:
