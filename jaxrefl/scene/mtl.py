@@ -2,7 +2,7 @@ r"""Material libraries of OBJ files (`.mtl`) -> `Material`s, by documented formu
 
 MTL describes a Phong model; this is how it is read:
 
-- exponent `Ns`: $\alpha = \sqrt{2 / (N_s + 2)}$, the GGX width whose lobe has the same curvature at its peak;
+- exponent `Ns`: $\alpha = \sqrt{2 / (N_s + 2)}$, see `alpha_from_exponent`;
 - `illum` 3 or 5 with `Ks` > 0: a perfect mirror of the colour `Ks`;
 - `illum` 4, 6, 7 or 9: glass of the index `Ni` (1.5 if absent or <= 1); `Tf` is what passes through two surfaces;
 - `Ks` absent or 0, or `illum` 0 or 1: matte, without any reflection (index 1);
@@ -71,14 +71,17 @@ def read_mtl(path: Path, notes: list[str]) -> dict[str, Material]:
             ignored[keyword] = ignored.get(keyword, 0) + 1
     for keyword, count in ignored.items():
         notes.append(f"{path.name}: {keyword} is ignored ({count} material{'s' if count > 1 else ''})")
-    images: dict[str, Image | None] = {}
+    images: dict[tuple[str, bool], Image | None] = {}
     return {name: _material(path, name, entry, images, notes) for name, entry in entries.items()}
 
 
 def alpha_from_exponent(exponent: float) -> float:
-    r"""GGX width of a Phong exponent.
+    r"""Width of the microfacet lobe that stands for a Phong exponent.
 
     $$ \alpha = \sqrt{\frac{2}{N_s + 2}} $$
+
+    With it Beckmann's $\exp(-\tan^2\theta / \alpha^2)$ falls off around its peak like $\cos^{N_s + 2}\theta$; GGX takes
+    over the width, as is usual.
 
     Args:
         exponent: Phong exponent, >= 0.
@@ -90,13 +93,13 @@ def alpha_from_exponent(exponent: float) -> float:
 
 
 def _material(
-    path: Path, name: str, entry: dict[str, str], images: dict[str, Image | None], notes: list[str]
+    path: Path, name: str, entry: dict[str, str], images: dict[tuple[str, bool], Image | None], notes: list[str]
 ) -> Material:
-    number = {key: _numbers(path, name, key, entry[key])[0] for key in _NUMBERS & entry.keys()}
-    colour = {key: _colour(path, name, key, entry[key]) for key in _COLOURS & entry.keys()}
+    number = {key: _numbers(path, name, key, entry[key])[0] for key in sorted(_NUMBERS & entry.keys())}
+    colour = {key: _colour(path, name, key, entry[key]) for key in sorted(_COLOURS & entry.keys())}
     kd = _clamped(name, "Kd", colour.get("kd", np.full(3, 0.8)), notes)
     ks = _clamped(name, "Ks", colour.get("ks", np.zeros(3)), notes)
-    maps = {key: _map(path, name, key, entry[key], images, notes) for key in _MAPS & entry.keys()}
+    maps = {key: _map(path, name, key, entry[key], images, notes) for key in sorted(_MAPS & entry.keys())}
     picture = maps.get("map_kd")
     if picture is not None and kd.max() == 0:
         notes.append(f"material {name!r}: Kd is black although there is a map_Kd; white is used")
@@ -148,7 +151,9 @@ def _surface(
     return Material(name, _triple(kd), alpha=alpha, eta=eta, **thin)
 
 
-def _map(path: Path, name: str, key: str, rest: str, images: dict[str, Image | None], notes: list[str]) -> Image | None:
+def _map(
+    path: Path, name: str, key: str, rest: str, images: dict[tuple[str, bool], Image | None], notes: list[str]
+) -> Image | None:
     """The image of a `map_...` statement; None, with a note, where it is missing or is a height map."""
     repeat, tokens = True, rest.split()
     while tokens and tokens[0].startswith("-") and tokens[0] in _OPTION_LENGTHS:
@@ -161,15 +166,16 @@ def _map(path: Path, name: str, key: str, rest: str, images: dict[str, Image | N
         else:
             notes.append(f"material {name!r}: option {flag} of {key} is ignored")
     file_name = " ".join(tokens).replace("\\", "/")
-    if file_name not in images:
+    image_key = (file_name, repeat)
+    if image_key not in images:
         file = path.parent / file_name
         file = file if file.is_file() else path.parent / Path(file_name).name
         try:
-            images[file_name] = Image(file_name, read_image(file), repeat=(repeat, repeat))
+            images[image_key] = Image(file_name, read_image(file), repeat=(repeat, repeat))
         except ValueError as error:
             notes.append(f"texture {file_name!r} left out: {error}")
-            images[file_name] = None
-    image = images[file_name]
+            images[image_key] = None
+    image = images[image_key]
     if image is not None and key in ("map_bump", "bump") and not _is_normal_map(image.rgba):
         notes.append(f"material {name!r}: {key} is ignored: {file_name!r} holds heights, not normals")
         return None
