@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrefl._types import Camera, Size
+from jaxrefl.core.safe import divide
 
 Numbers = np.ndarray | Array | Sequence[Any]
 """What the host-side constructors take for a vector or matrix: an array, or (nested) sequences of numbers."""
@@ -122,8 +123,7 @@ def project(camera: Camera, p: Float[Array, "*b 3"]) -> tuple[Float[Array, "*b 2
     offset = p - jnp.broadcast_to(eye, p.shape)
     x, y, z = (_dot_column(offset, rotation[:, i]) for i in range(3))
     depth = -z
-    front = depth > 0
-    inverse = jnp.where(front, 1 / jnp.where(front, depth, 1), 0)
+    inverse = jnp.where(depth > 0, divide(jnp.ones_like(depth), depth), 0)
     xy = jnp.stack(
         [camera.centre[0] + camera.focal[0] * x * inverse, camera.centre[1] - camera.focal[1] * y * inverse], -1
     )
