@@ -179,9 +179,11 @@ def _placed(part: Part, name: str, world: np.ndarray) -> Part:
         tangents = np.concatenate([tangents[:, :3] @ linear.T, handedness], 1)
         lengths = np.linalg.norm(tangents[:, :3], axis=1, keepdims=True)
         tangents[:, :3] /= np.where(lengths > 0, lengths, 1)
+    with np.errstate(invalid="ignore"):  # infinite positions become NaN here and are left out, and counted, later
+        vertices = part.vertices @ linear.T + world[:3, 3]
     return Part(
         name=name,
-        vertices=part.vertices @ linear.T + world[:3, 3],
+        vertices=vertices,
         faces=part.faces[:, ::-1] if mirrored else part.faces,
         material=part.material,
         normals=None if part.normals is None else part.normals @ (-cofactor if mirrored else cofactor).T,

@@ -66,7 +66,8 @@ def _local_transform(document: Document, index: int, node: dict[str, Any]) -> np
                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
                 ]
             )
-            matrix[:3, :3] = rotation * np.asarray(node.get("scale", [1, 1, 1]), np.float64).reshape(1, 3)
+            scale = np.asarray(node.get("scale", [1, 1, 1]), np.float64).reshape(1, 3)
+            matrix[:3, :3] = rotation * np.where(np.isfinite(scale), scale, np.nan)
             matrix[:3, 3] = np.asarray(node.get("translation", [0, 0, 0]), np.float64).reshape(3)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{document.path}: node {index}: broken transform: {error}") from error
