@@ -56,10 +56,10 @@ def direct_light(
     for number, index in enumerate(blocks_of(gbuffer.valid, size=size)):
         points = take_block(gbuffer, index, batch_dims=dims)
         arriving = _irradiance(scene, tracer, points, index >= 0, jax.random.fold_in(key, number), options=options)
-        image = put_block(image, index, outgoing_light(lights, points, arriving), batch_dims=dims)
+        image = put_block(index, image, outgoing_light(lights, points, arriving), batch_dims=dims)
     for index in blocks_of(~gbuffer.valid, size=size):
         away = -take_block(gbuffer.wo, index, batch_dims=dims)
-        image = put_block(image, index, background(lights, away), batch_dims=dims)
+        image = put_block(index, image, background(lights, away), batch_dims=dims)
     return image
 
 

@@ -6,6 +6,7 @@ unbiased.
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,7 +26,7 @@ COSINE_SHARE = 0.5
 """Share of the environment's samples that are drawn from the cosine lobe instead of the map."""
 
 
-def _count(default: int, high: int, help: str) -> int:
+def _count(default: int, high: int, help: str) -> Any:
     return dataclasses.field(default=default, metadata={"low": 1, "high": high, "help": help})
 
 

@@ -65,7 +65,7 @@ def invert_cdf(
     start = jnp.zeros(u.shape, jnp.int32) if start is None else start
     u = jnp.clip(u, 0, _BELOW_ONE)
 
-    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: object, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         middle = (low + high) // 2
         above = cdf[start + middle] > u

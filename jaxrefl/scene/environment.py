@@ -101,9 +101,8 @@ def sample_environment(
     # Uniform in solid angle within the texel: the squares of sin and cos of half the polar angle are linear in v.
     half_angle = np.pi / (2 * height) * np.arange(height + 1)
     sin2, cos2 = (jnp.asarray(f(half_angle) ** 2, u.dtype) for f in (np.sin, np.cos))
-    sin2, cos2 = (f[row] * (1 - v) + f[row + 1] * v for f in (sin2, cos2))
-    half_polar = jnp.arctan2(jnp.sqrt(sin2), jnp.sqrt(cos2))
-    uv = jnp.stack([(column.astype(x.dtype) + x) / width, half_polar * (2 / np.pi)], -1)
+    sin, cos = (jnp.sqrt(f[row] * (1 - v) + f[row + 1] * v) for f in (sin2, cos2))
+    uv = jnp.stack([(column.astype(x.dtype) + x) / width, jnp.arctan2(sin, cos) * (2 / np.pi)], -1)
     direction = _to_world(environment, direction_from_latlong(uv))
     if height * width == 1:
         radiance = jnp.broadcast_to(environment.radiance[0, 0], direction.shape)
