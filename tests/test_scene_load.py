@@ -244,8 +244,8 @@ def test_the_inventory_tells_everything_and_can_be_stored(tmp_path: Path):
     assert data["memory"]["mesh"] == sum(array.size * 4 for array in arrays)
     assert data["memory"]["total"] == sum(size for name, size in data["memory"].items() if name != "total")
     text = format_inventory(data)
-    for word in ("14 triangles", "table top", "alpha 0.1", "matte", "constant sky of radiance (1, 1, 1)", "camera 0",
-                 "planar: objects table top" if scene.features.planar and "table top" in data["features"]["planar"]
-                 else "planar: objects leg 1, leg 2", "switched off: curved"):  # fmt: skip
+    for word in ("14 triangles", "table top", "alpha 0.1", "matte", "constant sky of radiance (1, 1, 1)", "camera 0"):
+        assert word in text, text
+    for word in ("planar: objects leg 1, leg 2", "switched off: curved"):
         assert word in text, text
     assert max(map(len, text.splitlines())) < 400
