@@ -1,53 +1,57 @@
-"""The white furnace: spheres of all roughnesses in a world of constant radiance.
+"""The white furnace: a ball of all roughnesses in a world of constant radiance.
 
-Radiance 1 comes from every direction and everything is white, so a sphere that keeps all energy cannot be seen: what
-differs from 1 is an error of the reflection model or of a technique, by roughness and by row.
+Radiance 1 comes from every direction and the ball is white, so it cannot be seen as long as no energy is lost or made
+up: what differs from 1 is an error of the reflection model or of a technique. A single convex ball, because several
+would shade each other. It is cut into upright slices whose alpha grows from left to right; the upper half is metal, the
+lower half dielectric.
 """
+
+import math
 
 import numpy as np
 
 from jaxrefl._types import Camera, Size
 from jaxrefl.scene.description import Description, Part, constant_sky, glossy
 from scenes._check import whole
-from scenes.orbits import loop
-from scenes.shapes import sphere
+from scenes.orbits import fitted_fov, loop
+from scenes.shapes import arc, lathe
 from scenes.tessellation import segments, tessellate
 
 STRESSES = "energy: in a constant world every pixel should be 1, for metals and dielectrics of alpha 0 to 1"
-
-SPACING = 2.4
 
 
 def build(*, triangles: int = 20_000, columns: int = 6) -> Description:
     """The scene.
 
     Args:
-        triangles: Wanted number of triangles, shared by all spheres.
-        columns: Spheres per row, 1 to 16; their alpha goes from 0 to 1 from left to right.
+        triangles: Wanted number of triangles.
+        columns: Slices of the ball, 2 to 16; their alpha goes from 0 to 1 in equal steps from left to right.
     Returns:
-        The description: objects `metal 0.0` ... in the upper row and `dielectric 0.0` ... in the lower one.
+        The description: objects `metal 0.00` ... in the upper half and `dielectric 0.00` ... in the lower one.
     Raises:
         ValueError: If a parameter is out of range.
     """
-    alphas = np.linspace(0, 1, whole("columns", columns, 1, 16))
+    alphas = np.linspace(0, 1, whole("columns", columns, 2, 16))
+    cuts = [math.degrees(math.asin(min(max(2 * i / columns - 1, -1.0), 1.0))) for i in range(columns + 1)]
 
     def make(detail: float) -> list[Part]:
-        ball = sphere(1.0, around=segments(detail, 24, least=6))
+        half_turn = segments(detail, 24, least=8)
         parts = []
-        for row, (kind, metallic) in enumerate([("metal", 1.0), ("dielectric", 0.0)]):
-            for column, alpha in enumerate(alphas):
+        for alpha, start, stop in zip(alphas, cuts[:-1], cuts[1:], strict=True):
+            profile = arc((0, 0), 1.0, start, stop, max(1, round(half_turn * (stop - start) / 180)))
+            for kind, metallic, first in [("metal", 1.0, 180), ("dielectric", 0.0, 0)]:
                 name = f"{kind} {alpha:.2f}"
+                shape = lathe(*profile, around=half_turn, angles=(first, first + 180)).moved(tilt=90, turn=90)
                 material = glossy(name, (1.0, 1.0, 1.0), alpha=float(alpha), metallic=metallic)
-                place = (SPACING * (column - (columns - 1) / 2), SPACING * (0.5 - row), 0)
-                parts.append(ball.moved(to=place).part(name, material))
+                parts.append(shape.part(name, material))
         return parts
 
     parts = tessellate(triangles, make)
     return Description("furnace", parts, sky=constant_sky((1.0, 1.0, 1.0)), cameras={"front": path(1)[0]})
 
 
-def path(frames: int, *, size: Size = (768, 320)) -> tuple[Camera, ...]:
-    """A slow sway in front of the spheres; frame 0 looks at them straight on.
+def path(frames: int, *, size: Size = (480, 480)) -> tuple[Camera, ...]:
+    """A slow sway in front of the ball; frame 0 looks at it straight on.
 
     Args:
         frames: Number of cameras, >= 1.
@@ -57,4 +61,5 @@ def path(frames: int, *, size: Size = (768, 320)) -> tuple[Camera, ...]:
     Raises:
         ValueError: If `frames` or `size` is invalid.
     """
-    return loop(frames, eye=(0, 0, 18), target=(0, 0, 0), sway=20, rise=10, fov_y=19, size=size)
+    fov_y = min(26.0, fitted_fov(26.0, size))
+    return loop(frames, eye=(0, 0, 5), target=(0, 0, 0), sway=12, rise=10, fov_y=fov_y, size=size)

@@ -41,24 +41,26 @@ def build(*, triangles: int = 40_000, floor_alpha: Real = 0.0, mirror_alpha: Rea
     silver = mirror("silver").replace(alpha=in_range("mirror_alpha", mirror_alpha, 0, 1))
     chrome = silver.replace(name="chrome", base_colour=(0.9, 0.91, 0.93))
     plaster = matte("plaster", (0.68, 0.66, 0.6))
+    blue, ochre = matte("blue wall", (0.12, 0.24, 0.36)), matte("ochre wall", (0.6, 0.4, 0.16))
     rug = Material("rug", base_colour_texture=checker("weave", (0.5, 0.08, 0.06), (0.65, 0.55, 0.38), tiles=8), eta=1.0)
 
     def make(detail: Real) -> list[Part]:
         around = segments(detail, 24, least=6)
         return [
-            *room(LOWER, UPPER, tile=1.6, floor=floor, walls=plaster, left=matte("blue wall", (0.12, 0.24, 0.36))),
-            ceiling_light("main light", (0.2, 2.98, 0.3), (1.8, 1.2), (9.0, 8.4, 7.4)),
-            ceiling_light("window light", (-2.0, 2.98, 2.2), (1.2, 1.0), (5.0, 5.6, 6.4)),
+            *room(LOWER, UPPER, tile=1.6, floor=floor, walls=plaster, left=blue, right=ochre),
+            ceiling_light("main light", (0.2, 2.98, 0.3), (2.8, 2.0), (6.5, 6.1, 5.5)),
             *_furniture(around),
             *_on_the_table(around, chrome),
             *_wall_mirror(silver),
             *_round_mirrors(around, chrome, silver),
             *_on_the_floor(around, chrome),
-            box((-3.19, 0.9, 0.5), (-3.16, 2.1, 2.1)).part("tapestry", rug.replace(name="tapestry")),
+            box((-3.19, 0.9, 0.5), (-3.16, 2.1, 2.1)).part("tapestry", rug),
+            box((-1.6, 0.6, 3.36), (0.0, 2.2, 3.39)).part("hanging", rug),
+            box((0.9, 0.0, 3.35), (1.9, 2.1, 3.39)).part("door", matte("door", (0.08, 0.25, 0.2))),
         ]
 
     parts = tessellate(triangles, make)
-    return Description("mirror_room", parts, ambient=(0.07, 0.07, 0.075), cameras={"front": path(1)[0]})
+    return Description("mirror_room", parts, ambient=(0.2, 0.2, 0.205), cameras={"front": path(1)[0]})
 
 
 def path(frames: int, *, size: Size = (768, 480)) -> tuple[Camera, ...]:
@@ -72,7 +74,7 @@ def path(frames: int, *, size: Size = (768, 480)) -> tuple[Camera, ...]:
     Raises:
         ValueError: If `frames` or `size` is invalid.
     """
-    return loop(frames, eye=(0.9, 1.45, 3.1), target=(-0.05, 0.75, -1.0), sway=12, rise=5, fov_y=50, size=size)
+    return loop(frames, eye=(0.75, 1.5, 2.95), target=(0.1, 0.85, -1.0), sway=12, rise=5, fov_y=50, size=size)
 
 
 def _furniture(around: int) -> list[Part]:
@@ -121,12 +123,15 @@ def _chair(around: int) -> Geometry:
 def _on_the_table(around: int, chrome: Material) -> list[Part]:
     """A chrome vase, a chrome ball, a cup and fruit."""
     fine = max(2, around // 4)
+    belly, outward = arc((0, 0.1), 0.1, -60, 70, fine)
+    lip = (0.05, 0.3)
     body = chain(
         line((0, 0), (0.05, 0)),
-        arc((0.03, 0.09), 0.09, -75, 60, fine),
-        line((0.075, 0.168), (0.035, 0.25)),
-        line((0.035, 0.25), (0.05, 0.29)),
-        line((0.05, 0.29), (0, 0.27)),
+        line((0.05, 0), belly[0]),
+        (belly, outward),
+        line(belly[-1], (0.028, 0.25)),
+        line((0.028, 0.25), lip),
+        line(lip, (0, 0.27)),
     )
     vase = lathe(*body, around=around)
     x, z = TABLE[0], TABLE[2]
@@ -150,19 +155,20 @@ def _wall_mirror(silver: Material) -> list[Part]:
     x0, x1, y0, y1, z = -1.5, 1.7, 0.06, 2.3, LOWER[2]
     glass = rectangle((x0, y0, z + 0.02), (x1 - x0, 0, 0), (0, y1 - y0, 0))
     w, d = 0.06, 0.05
-    frame = merge(
+    bars = [
         box((x0 - w, y0 - w, z + 0.001), (x1 + w, y0, z + d)),
         box((x0 - w, y1, z + 0.001), (x1 + w, y1 + w, z + d)),
         box((x0 - w, y0, z + 0.001), (x0, y1, z + d)),
         box((x1, y0, z + 0.001), (x1 + w, y1, z + d)),
-    )
-    return [glass.part("wall mirror", silver), frame.part("frame", matte("gilt", (0.55, 0.36, 0.1)))]
+    ]
+    gilt = matte("gilt", (0.55, 0.36, 0.1))
+    return [glass.part("wall mirror", silver), *[bar.part("frame", gilt) for bar in bars]]
 
 
 def _round_mirrors(around: int, chrome: Material, silver: Material) -> list[Part]:
-    """A concave mirror on the right wall and a convex one up in the left corner."""
+    """A concave mirror on the back wall and a convex one up in the left corner."""
     fine = max(2, around // 4)
-    radius, curve = 0.62, 1.6  # rim radius and radius of curvature, so the focus is 0.8 in front
+    radius, curve = 0.5, 1.6  # rim radius and radius of curvature, so the focus is 0.8 in front
     edge = math.degrees(math.asin(radius / curve))
     depth = curve * (1 - math.cos(math.radians(edge)))
     hollow, inward = arc((0, curve), -curve, -90 + edge, -90, fine)  # from the rim down to the middle
@@ -180,11 +186,11 @@ def _round_mirrors(around: int, chrome: Material, silver: Material) -> list[Part
         ),
         around=2 * around,
     )
-    hang = {"to": (UPPER[0] - 0.05, 1.35, -0.9), "turn": -90.0, "tilt": 90.0}
+    hang = {"to": (2.5, 1.85, LOWER[2] + 0.05), "tilt": 90.0}
     return [
         face.moved(**hang).part("concave mirror", silver),
         back.moved(**hang).part("concave rim", matte("black", (0.03, 0.03, 0.03))),
-        dome.moved(to=(LOWER[0] + 0.12, 2.45, LOWER[2] + 0.12), turn=45, tilt=65).part("convex mirror", chrome),
+        dome.moved(to=(LOWER[0] + 0.28, 2.35, LOWER[2] + 0.28), turn=45, tilt=75).part("convex mirror", chrome),
     ]
 
 

@@ -58,7 +58,7 @@ def loop(
         turn = heading + math.radians(sway) * math.sin(a)
         lift = elevation + math.radians(rise) * 0.5 * (1 - math.cos(a))
         position = np.asarray(target) + distance * _direction(turn, lift)
-        cameras.append(look_at(position, target, fov_y=fov_y, size=size))
+        cameras.append(look_at(position, target, fov_y=float(fov_y), size=size))
     return tuple(cameras)
 
 
@@ -85,7 +85,20 @@ def orbit(
     elevation = math.asin(away[1] / distance)
     turns = heading + math.radians(min(step, 360 / frames)) * np.arange(frames)
     eyes = [np.asarray(target) + distance * _direction(turn, elevation) for turn in turns]
-    return tuple(look_at(position, target, fov_y=fov_y, size=size) for position in eyes)
+    return tuple(look_at(position, target, fov_y=float(fov_y), size=size) for position in eyes)
+
+
+def fitted_fov(fov_x: Real, size: Size) -> float:
+    """Vertical field of view of an image that shows a fixed angle from left to right.
+
+    Args:
+        fov_x: Horizontal field of view, degrees.
+        size: (width, height) in pixels.
+    Returns:
+        Vertical field of view, degrees, at most 120.
+    """
+    tangent = math.tan(math.radians(fov_x) / 2) * size[1] / max(size[0], 1)
+    return min(2 * math.degrees(math.atan(tangent)), 120.0)
 
 
 def _direction(heading: Real, elevation: Real) -> Float[np.ndarray, "3"]:

@@ -61,4 +61,6 @@ def ceiling_light(name: str, centre: Corner, size: tuple[Real, Real], radiance) 
         The part.
     """
     (x, y, z), (w, d) = centre, size
-    return rectangle((x - w / 2, y, z - d / 2), (w, 0, 0), (0, 0, d)).part(name, emitter(name, radiance))
+    return rectangle((x - w / 2, y, z - d / 2), (w, 0, 0), (0, 0, d)).part(
+        name, emitter(name, tuple(float(c) for c in radiance))
+    )

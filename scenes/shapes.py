@@ -125,7 +125,7 @@ def box(lower, upper) -> Geometry:
     return merge(*sides)
 
 
-def lathe(profile: Profile, normals: Profile, *, around: int) -> Geometry:
+def lathe(profile: Profile, normals: Profile, *, around: int, angles: tuple[Real, Real] = (0, 360)) -> Geometry:
     r"""Surface of revolution about +Y.
 
     $$ p(\phi, s) = (r(s) \cos\phi,\ y(s),\ r(s) \sin\phi) $$
@@ -133,13 +133,15 @@ def lathe(profile: Profile, normals: Profile, *, around: int) -> Geometry:
     Args:
         profile: (r, y) from the bottom to the top along the outside, r >= 0; a point given twice makes a crease.
         normals: Outward (r, y) normal at each point, any length > 0.
-        around: Number of segments around the axis, >= 3.
+        around: Number of segments around the axis, >= 3 for a whole turn.
+        angles: First and last angle, degrees from +X towards +Z.
     Returns:
-        The shape; closed where the profile starts and ends on the axis or at the same point.
+        The shape; after a whole turn closed where the profile starts and ends on the axis or at the same point.
     Edge cases: segments of length 0 (creases) make no faces; points on the axis make one triangle per segment.
     """
-    phi = np.linspace(0, 2 * np.pi, around + 1)
-    phi[-1] = 0  # the seam's two columns agree to the last bit
+    phi = np.radians(np.linspace(angles[0], angles[1], around + 1))
+    if angles[1] - angles[0] == 360:
+        phi[-1] = phi[0]  # the seam's two columns agree to the last bit
     directions = np.stack([np.cos(phi), np.sin(phi)], -1)
     radius, height = profile[:, None, 0], profile[:, None, 1]
     unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -211,9 +213,16 @@ def chain(*pieces: Piece) -> Piece:
     Args:
         *pieces: Points and normals, each piece starting where the one before ends.
     Returns:
-        Points and normals.
+        Points and normals; points where pieces meet agree to the last bit.
+    Raises:
+        ValueError: If two pieces do not meet.
     """
-    return np.concatenate([p for p, _ in pieces]), np.concatenate([n for _, n in pieces])
+    points = [pieces[0][0]]
+    for piece, _ in pieces[1:]:
+        if np.abs(piece[0] - points[-1][-1]).max() > 1e-9 * np.abs(piece).max():
+            raise ValueError(f"chain: expected a piece that starts at {points[-1][-1]}, got one from {piece[0]}")
+        points.append(np.concatenate([points[-1][-1:], piece[1:]]))
+    return np.concatenate(points), np.concatenate([normals for _, normals in pieces])
 
 
 def sphere(radius: Real, *, around: int) -> Geometry:

@@ -82,8 +82,8 @@ def teapot(segments: int) -> Geometry:
     ends = [("handle", 0), ("handle", 1), ("spout", 0)]
     windows = [_window(_meet(name, end, 64), starts, segments) for name, end in ends]
     columns, rows = np.maximum(windows[0][2:], windows[1][2:])  # both ends of the handle need the same ring
-    windows[:2] = [_widened(w, columns, rows) for w in windows[:2]]
-    seams = [_meet(name, end, 2 * (w[2] + w[3])) for (name, end), w in zip(ends, windows, strict=True)]
+    windows[:2] = [_widened(w, int(columns), int(rows)) for w in windows[:2]]
+    seams = [_meet(name, end, 2 * int(w[2] + w[3])) for (name, end), w in zip(ends, windows, strict=True)]
 
     along = max(4, round(1.6 * segments))
     handle = _tube("handle", seams[0][:, 0], seams[1][:, 0], along)
@@ -97,7 +97,7 @@ def teapot(segments: int) -> Geometry:
     for row, column, width, height in windows:
         keep[row : row + height, column : column + width] = False
     keep[0, :, 0] = False  # the bottom's centre
-    faces = grid_faces(starts[-1] + 1, around + 1).reshape(keep.shape + (3,))
+    faces = grid_faces(len(keep) + 1, around + 1).reshape(keep.shape + (3,))
     open_body = _used(body, faces[keep])
     gap = _flat_ring(body.vertices[-around - 1 :], lid.vertices[: around + 1])
     return merge(open_body, gap, lid, *joints, handle, spout, tip)
@@ -154,7 +154,7 @@ def _surface(control: np.ndarray, s: Numbers, t: Numbers) -> tuple[Points, Point
     return evaluate(control[piece, column], s - piece, t - np.floor(t))
 
 
-def _unit(v: Points, fallback: Points) -> Points:
+def _unit(v: Points, fallback: np.ndarray) -> Points:
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.where(length > 1e-9, v / np.where(length > 1e-9, length, 1), fallback)
 
@@ -179,7 +179,9 @@ def _revolved(control: np.ndarray, rows: Int[np.ndarray, "p"], segments: int) ->
     return Geometry(p.reshape(-1, 3), faces[keep], normals.reshape(-1, 3), uv.reshape(-1, 2))
 
 
-def _grid(quarters: np.ndarray, s: Numbers, t: Numbers) -> tuple[Points, Points, Points]:
+def _grid(
+    quarters: np.ndarray, s: Float[np.ndarray, "s"], t: Float[np.ndarray, "t"]
+) -> tuple[Float[np.ndarray, "s t 3"], Float[np.ndarray, "s t 3"], Float[np.ndarray, "s t 3"]]:
     (a, da), (b, db) = _bernstein(s), _bernstein(t - np.floor(t))
     column = np.floor(t).astype(int) % len(quarters)
     blend = "si,tj,tijc->stc"

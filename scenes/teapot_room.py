@@ -45,14 +45,14 @@ def build(*, triangles: int = 40_000, teapot: str = "mirror", columns: int = 12)
     of_teapot = _TEAPOTS[one_of("teapot", teapot, tuple(_TEAPOTS))]
     tiles = checker("tiles", (0.62, 0.56, 0.46), (0.2, 0.13, 0.09), joint=0.02)
     floor = Material("floor", base_colour_texture=tiles, eta=1.0)
-    cup = mirror("silver", (0.97, 0.93, 0.86))
+    cup = mirror("silver", colour=(0.97, 0.93, 0.86))
     shafts = [matte(f"column {i}", colour) for i, colour in enumerate(COLUMNS)]
 
     def make(detail: Real) -> list[Part]:
         column = _column(segments(detail, 16, least=4))
         parts = [
             newell(max(3, round(12 * detail))).moved(turn=25).part("teapot", of_teapot),
-            _cup(detail).moved(to=(3.3, 0, 2.3), turn=200).part("cup", cup),
+            _cup(detail).moved(to=(3.5, 0, 1.5), turn=205).part("cup", cup),
         ]
         for i in range(columns):
             angle = 2 * math.pi * (i + 0.5) / columns
@@ -62,7 +62,7 @@ def build(*, triangles: int = 40_000, teapot: str = "mirror", columns: int = 12)
         ceiling = matte("ceiling", (0.7, 0.7, 0.72))
         return [
             *parts,
-            *room((-24, 0, -24), (24, 16, 24), tile=8, floor=floor, ceiling=ceiling, walls=banded),
+            *room((-24, 0, -24), (24, 16, 24), tile=12, floor=floor, ceiling=ceiling, walls=banded),
             ceiling_light("main light", (0, 15.9, 0), (12, 12), (7.0, 6.6, 6.0)),
             *[
                 ceiling_light(f"side light {i}", (18 * x, 15.9, 18 * z), (4, 4), (8.0, 7.0, 5.5))
@@ -71,13 +71,13 @@ def build(*, triangles: int = 40_000, teapot: str = "mirror", columns: int = 12)
         ]
 
     parts = tessellate(triangles, make)
-    return Description("teapot_room", parts, ambient=(0.06, 0.06, 0.065), cameras={"front": path(1)[0]})
+    return Description("teapot_room", parts, ambient=(0.16, 0.16, 0.17), cameras={"front": path(1)[0]})
 
 
 COLUMNS = ((0.7, 0.66, 0.58), (0.55, 0.16, 0.1), (0.16, 0.3, 0.42))
 WALLS = ((0.5, 0.42, 0.3), (0.14, 0.2, 0.33), (0.5, 0.42, 0.3), (0.33, 0.09, 0.07))
 _TEAPOTS = {
-    "mirror": mirror("mirror teapot", (0.95, 0.95, 0.96)),
+    "mirror": mirror("mirror teapot", colour=(0.95, 0.95, 0.96)),
     "glass": glass("glass teapot", eta=1.5, attenuation=(0.06, 0.02, 0.04)),
     "glossy": glossy("copper teapot", (0.95, 0.64, 0.54), alpha=0.08, metallic=1.0),
 }
@@ -120,4 +120,4 @@ def path(frames: int, *, size: Size = (640, 480)) -> tuple[Camera, ...]:
     Raises:
         ValueError: If `frames` or `size` is invalid.
     """
-    return orbit(frames, eye=(1.2, 3.6, 9.0), target=(0.3, 1.3, 0), step=3, fov_y=45, size=size)
+    return orbit(frames, eye=(0.8, 3.6, 9.2), target=(0.5, 1.3, 0), step=3, fov_y=45, size=size)

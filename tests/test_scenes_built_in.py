@@ -5,9 +5,9 @@ import pytest
 from test_scenes_shapes import is_closed, least_agreement, volume
 
 import scenes
-from jaxrefl.scene import assemble
+from jaxrefl.scene.assemble import assemble
 from jaxrefl.scene.description import Description, Part
-from scenes.shapes import Geometry
+from scenes.shapes import Geometry, merge
 
 NAMES = tuple(scenes.BUILT_IN)
 OPEN = {
@@ -15,8 +15,8 @@ OPEN = {
     "teapot_room": {"floor", "ceiling", "left", "right", "back", "front"},
     "mirror_room": {"floor", "ceiling", "left", "right", "back", "front", "wall mirror"}
     | {"concave mirror", "concave rim"},
-    "roughness_steps": {"wall"},
-    "furnace": set(),
+    "roughness_steps": {"wall", "apron"},
+    "furnace": {f"{kind} {alpha / 5:.2f}" for kind in ("metal", "dielectric") for alpha in range(6)},
 }
 """Parts that are meant to be open; lights and floors are too."""
 
@@ -121,7 +121,7 @@ def test_paths_are_smooth_inside_the_scene_and_outside_its_objects(name):
     eyes = np.stack([np.asarray(c.world_from_camera[:3, 3], np.float64) for c in cameras])
     steps = np.linalg.norm(np.diff(eyes, axis=0), axis=-1)
     assert 0 < steps.min()
-    assert steps.max() < 0.12 * diagonal
+    assert steps.max() < 0.12 * max(diagonal, np.linalg.norm(eyes, axis=-1).max())
     if {"floor", "ceiling", "front"} <= OPEN[name]:  # a closed room
         assert (eyes > corners.min(0) + 0.01 * diagonal).all()
         assert (eyes < corners.max(0) - 0.01 * diagonal).all()
@@ -154,6 +154,21 @@ def test_the_teapot_can_be_mirror_glass_or_glossy():
     assert material("mirror").metallic == 1 and material("mirror").alpha == 0
     assert material("glass").transmission == 1 and material("glass").eta == 1.5
     assert material("glossy").alpha > 0
+
+
+@pytest.mark.parametrize("columns", [2, 3, 6])
+def test_the_slices_of_the_furnace_make_one_closed_ball(columns):
+    parts = scenes.build("furnace", triangles=3000, columns=columns).parts
+    ball = merge(*[as_geometry(part) for part in parts])
+    assert is_closed(ball)
+    np.testing.assert_allclose(ball.normals, ball.vertices, atol=1e-12)
+    np.testing.assert_allclose(volume(ball), 4 / 3 * np.pi, rtol=0.02)  # inscribed: 0.8 % measured
+    for part in parts:
+        upper = part.name.startswith("metal")
+        assert (part.vertices[:, 1].mean() > 0) == upper, part.name
+    across = [part.vertices[:, 0].mean() for part in parts[::2]]
+    assert (np.diff(across) > 0).all()
+    np.testing.assert_allclose([part.material.alpha for part in parts[::2]], np.linspace(0, 1, columns))
 
 
 def test_roughness_steps_go_from_a_mirror_to_alpha():

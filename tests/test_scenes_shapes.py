@@ -113,6 +113,11 @@ def test_a_crease_keeps_both_normals_and_makes_no_faces():
     assert len(shape.faces) == 16
 
 
+def test_a_profile_with_a_gap_is_refused():
+    with pytest.raises(ValueError, match="chain: expected a piece that starts at"):
+        chain(line((0, 0), (1, 0)), line((1.01, 0), (0, 1)))
+
+
 def test_a_rectangle_faces_right_cross_up_with_the_image_upright():
     shape = rectangle((0, 0, 0), (2, 0, 0), (0, 3, 0), tiles=(4, 5))
     np.testing.assert_array_equal(shape.normals, np.broadcast_to([0.0, 0.0, 1.0], (4, 3)))
@@ -156,7 +161,7 @@ def test_planks_repeat_without_a_seam_between_boards():
 
 
 def test_segments_are_even_and_at_least_the_least():
-    assert [segments(d, 10, least=5) for d in (0, 0.5, 1, 1.7, 3)] == [6, 6, 10, 18, 30]
+    assert [segments(d, 10, least=5) for d in (0, 0.5, 1, 1.8, 3)] == [6, 6, 10, 18, 30]
 
 
 @pytest.mark.parametrize("triangles", [999, 2_000_000, True])
