@@ -253,6 +253,10 @@ class Tracer(Protocol):
         """Closest hit of each ray; rays that are not `active` are not cast and come back as misses."""
         ...
 
+    def closest_rows(self, rays: Rays, first: int, count: int) -> Hits:
+        """Closest hits of `count` rows of an image of rays, from row `first` on."""
+        ...
+
     def occluded(self, rays: Rays, t_max: Float[Array, "*b"]) -> Bool[Array, "*b"]:
         """True where something lies on the ray closer than `t_max`; rays with `t_max <= 0` are not cast."""
         ...

@@ -4,17 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import scenes
-from jaxrefl._types import Rays
+from jaxrefl._types import Mesh, Rays
 from jaxrefl.core import look_at
 from jaxrefl.rays import BruteTracer, EmbreeTracer, camera_rays
 from jaxrefl.scene import assemble
 
-SMALL = 900
+SMALL = 1000
 """Triangles of each built-in scene in these tests."""
 SAME_POINT = 2e-5
-"""Two hits this close, in shares of the distance, are the same point: coplanar or edge-sharing triangles may swap."""
+"""Two hits this close, in shares of the largest coordinate, are the same point: edge-sharing triangles may swap."""
+BORDER = 2e-5
+"""Barycentric weight below which a hit lies on its triangle's border, where outlines may go either way in float32."""
 
 
 @pytest.fixture(scope="module", params=list(scenes.BUILT_IN))
@@ -32,24 +35,31 @@ def random_rays(scene, count: int, seed: int) -> Rays:
     return Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32))
 
 
-def assert_same_hits(scene, rays: Rays, *, flips: int) -> None:
-    """The same rays hit, at the same distance; `flips` rays may pass an outline on the other side."""
+def on_border(hits) -> np.ndarray:
+    u, v = np.asarray(hits.barycentric).T
+    return np.minimum(np.minimum(u, v), 1 - u - v) < BORDER
+
+
+def assert_same_hits(scene, rays: Rays) -> None:
+    """The same points are hit; only at an outline, within `BORDER` of an edge, may the two disagree."""
     ours, oracle = EmbreeTracer(scene.mesh).closest(rays), BruteTracer(scene.mesh).closest(rays)
-    differ = ours.valid != oracle.valid
-    both = ours.valid & oracle.valid
-    scale = jnp.abs(rays.origin).max() + oracle.t
-    same_t = jnp.abs(ours.t - oracle.t) <= SAME_POINT * scale
-    wrong = differ | (both & ~same_t)
-    assert int(wrong.sum()) <= flips, (int(differ.sum()), int((both & ~same_t).sum()))
-    same_triangle = both & (ours.triangle == oracle.triangle)
-    assert int((both & ~same_triangle).sum()) <= max(2, 0.01 * int(both.sum()))
-    apart = jnp.abs(ours.barycentric - oracle.barycentric).max(-1)
-    assert float(jnp.quantile(jnp.where(same_triangle, apart, 0), 0.99)) < 1e-3
+    hit, hit_oracle = np.asarray(ours.valid), np.asarray(oracle.valid)
+    t, t_oracle = np.where(hit, ours.t, np.inf), np.where(hit_oracle, oracle.t, np.inf)
+    scale = max(abs(scene.lower).max(), abs(scene.upper).max()) + np.minimum(t, t_oracle)
+    both = hit & hit_oracle
+    apart = np.where(both, np.abs(np.asarray(ours.t) - np.asarray(oracle.t)), 0)
+    differ = (hit != hit_oracle) | (apart > SAME_POINT * np.asarray(scale))
+    nearer_on_border = np.where(t < t_oracle, on_border(ours), on_border(oracle))
+    assert not (differ & ~nearer_on_border).any(), np.flatnonzero(differ & ~nearer_on_border)
+    assert differ.mean() < 0.05
+    same = both & (np.asarray(ours.triangle) == np.asarray(oracle.triangle))
+    weights = np.abs(np.asarray(ours.barycentric - oracle.barycentric)).max(-1)
+    assert np.quantile(weights[same], 0.99) < 1e-3
 
 
 def test_random_rays_hit_the_same_points(small_scene):
     _, scene = small_scene
-    assert_same_hits(scene, random_rays(scene, 2000, 1), flips=1)
+    assert_same_hits(scene, random_rays(scene, 2000, 1))
 
 
 def test_rays_at_vertices_and_edges_never_slip_through(small_scene):
@@ -63,7 +73,23 @@ def test_rays_at_vertices_and_edges_never_slip_through(small_scene):
     direction = (middle - eye).astype(np.float64)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     rays = Rays(jnp.broadcast_to(jnp.asarray(eye), middle.shape), jnp.asarray(direction, jnp.float32))
-    assert_same_hits(scene, rays, flips=3)
+    assert_same_hits(scene, rays)
+
+
+@pytest.mark.parametrize("tracer_of", [EmbreeTracer, BruteTracer])
+@pytest.mark.parametrize("eye", [(0.0, 0.0, 0.0), (0.11, 0.07, -0.2)])
+def test_closed_shapes_do_not_leak(tracer_of, eye):
+    """From inside a ball every ray hits, however exactly it is aimed at a vertex or an edge."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    ends = ball.vertices[ball.edges_unique]
+    targets = np.concatenate([ball.vertices, ends.mean(1), 0.3 * ends[:, 0] + 0.7 * ends[:, 1]])
+    direction = targets - np.asarray(eye)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    rays = Rays(jnp.asarray(np.broadcast_to(eye, direction.shape), jnp.float32), jnp.asarray(direction, jnp.float32))
+    faces = jnp.asarray(ball.faces, jnp.int32)
+    zero = jnp.zeros(len(faces), jnp.int32)
+    tracer = tracer_of(Mesh(jnp.asarray(ball.vertices, jnp.float32), faces, material=zero, object=zero))
+    assert bool(tracer.closest(rays).valid.all())
 
 
 def test_grazing_rays_agree(small_scene):
@@ -78,7 +104,7 @@ def test_grazing_rays_agree(small_scene):
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     origin = centre + edge + 1e-2 * length * normal
     direction = (centre - origin) / np.linalg.norm(centre - origin, axis=1, keepdims=True)
-    assert_same_hits(scene, Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32)), flips=3)
+    assert_same_hits(scene, Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32)))
 
 
 def test_occlusion_is_a_closest_hit_within_reach(small_scene):

@@ -89,10 +89,22 @@ def _intersect(corners: Float[Array, "f 3 3"], origin: Float[Array, "3"], direct
     depth = local[..., z] / direction[z]
     px, py = local[..., x] - direction[x] * depth, local[..., y] - direction[y] * depth
     (x0, x1, x2), (y0, y1, y2) = (px[:, i] for i in range(3)), (py[:, i] for i in range(3))
-    w0, w1, w2 = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
+    w0, w1, w2 = _edge(x2, y2, x1, y1), _edge(x0, y0, x2, y2), _edge(x1, y1, x0, y0)
     inside = ((w0 >= 0) & (w1 >= 0) & (w2 >= 0)) | ((w0 <= 0) & (w1 <= 0) & (w2 <= 0))
     total = w0 + w1 + w2
     proper = total != 0
     inverse = 1 / jnp.where(proper, total, 1)
     t = (w0 * depth[:, 0] + w1 * depth[:, 1] + w2 * depth[:, 2]) * inverse
     return t, w1 * inverse, w2 * inverse, inside & proper & (t > 0)
+
+
+def _edge(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
+    """Signed area of an edge and the ray, the exact negative of that of the same edge seen from the next triangle.
+
+    The ends are put in one order first: the compiler may round one of the two products and not the other, which must
+    happen to the same product in both triangles.
+    """
+    swap = (ax > bx) | ((ax == bx) & (ay > by))
+    ax, bx, ay, by = jnp.where(swap, bx, ax), jnp.where(swap, ax, bx), jnp.where(swap, by, ay), jnp.where(swap, ay, by)
+    area = ax * by - ay * bx
+    return jnp.where(swap, -area, area)

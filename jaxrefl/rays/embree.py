@@ -41,6 +41,18 @@ class EmbreeTracer:
         # The first query builds the acceleration structure: do it now rather than inside somebody's timing.
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
 
+    def cast(self, origin: np.ndarray, direction: np.ndarray) -> dict[str, np.ndarray]:
+        """Embree's own answer, untranslated: what everything else is measured against.
+
+        Args:
+            origin: [n 3] float32, contiguous.
+            direction: [n 3] float32, contiguous, unit.
+        Returns:
+            `primID` (-1 for a miss), `geomID`, `tfar`, `u`, `v`, `Ng`.
+        """
+        self.rays += len(origin)
+        return self._scene.run(origin, direction, query="INTERSECT", output=True)
+
     def closest(self, rays: Rays, *, active: Bool[Array, "*b"] | None = None) -> Hits:
         """Closest hit of each ray.
 
@@ -75,8 +87,7 @@ class EmbreeTracer:
             cast = None
         if cast is not None:
             origin, direction = origin[cast], direction[cast]
-        self.rays += len(origin)
-        found = self._scene.run(origin, direction, query="INTERSECT", output=True)
+        found = self.cast(origin, direction)
         fields = (found["primID"], found["tfar"], found["u"], found["v"])
         if cast is not None:
             fields = tuple(_spread(x, cast, math.prod(shape)) for x in fields)

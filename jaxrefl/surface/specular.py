@@ -65,7 +65,7 @@ def specular_colour(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
     Source: glTF 2.0 appendix B.
     """
     dielectric = jnp.broadcast_to(f0_from_eta(gbuffer.eta)[..., None], gbuffer.base_colour.shape)
-    return lerp(dielectric, gbuffer.base_colour, gbuffer.metallic[..., None])
+    return lerp(dielectric, gbuffer.base_colour, gbuffer.metallic)
 
 
 def diffuse_albedo(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
@@ -140,7 +140,7 @@ def specular_weight(
     else:
         dielectric = f0_from_eta(gbuffer.eta) * scale + bias
     metal = gbuffer.base_colour * scale[..., None] + bias[..., None]
-    albedo = lerp(jnp.broadcast_to(dielectric[..., None], metal.shape), metal, gbuffer.metallic[..., None])
+    albedo = lerp(jnp.broadcast_to(dielectric[..., None], metal.shape), metal, gbuffer.metallic)
     if multiple_scattering:
         albedo = albedo * (1 + f0 * (1 / jnp.maximum(single, 1e-3) - 1)[..., None])
     return jnp.where(reflective(gbuffer)[..., None], jnp.clip(albedo, 0, 1), 0)

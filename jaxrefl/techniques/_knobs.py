@@ -31,9 +31,7 @@ def tunable(default: float, low: float, high: float, help: str) -> Any:
     return eqx.field(converter=_as_float32, default=default, metadata=metadata)
 
 
-def option(
-    default: Any, help: str, *, low: float | None = None, high: float | None = None, choices: tuple = ()
-) -> Any:
+def option(default: Any, help: str, *, low: float | None = None, high: float | None = None, choices: tuple = ()) -> Any:
     """A field of `Options`: an int, bool or str.
 
     Args:

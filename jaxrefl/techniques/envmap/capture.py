@@ -11,10 +11,10 @@ from jaxrefl._types import GBuffer, Rays, Scene, Tracer
 from jaxrefl.core import direction_from_latlong
 from jaxrefl.radiance import DirectOptions, direct_light
 from jaxrefl.rays import offset_origin
-from jaxrefl.surface import build_gbuffer, specular_weight
+from jaxrefl.surface import build_gbuffer, reflective, specular_weight
 
 _OWN_LAYERS = 16
-"""How many of its own surfaces a capture ray passes on its way out of the reflector."""
+"""How many invisible surfaces a capture ray passes before it stops at one."""
 
 
 def reflectors_of(scene: Scene) -> np.ndarray:
@@ -59,7 +59,7 @@ def capture(
         scene: The scene.
         tracer: Ray queries against `scene.mesh`.
         centre: Point to capture from, world space.
-        own: Object whose surfaces are invisible to the capture; -1 for none.
+        own: Object whose surfaces are invisible to the capture; -1 for none. So are the back faces of all reflectors.
         height: Rows of the map.
         key: Random key for light samples.
         light: Light samples at each captured point.
@@ -70,8 +70,8 @@ def capture(
     active = jnp.ones(rays.origin.shape[:-1], bool)
     points = build_gbuffer(scene, rays, tracer.closest(rays))
     for _ in range(_OWN_LAYERS):
-        active = _sees_itself(points, active, own)
-        if own < 0 or not active.any():
+        active = active & _invisible(points, own)
+        if not active.any():
             break
         rays = _step_past(rays, points, active)
         points = _merge(points, build_gbuffer(scene, rays, tracer.closest(rays, active=active)), active)
@@ -87,8 +87,9 @@ def _rays_around(centre: Float[Array, "3"], height: int) -> Rays:
 
 
 @jax.jit
-def _sees_itself(points: GBuffer, active: Bool[Array, "h w"], own: Int[Array, ""] | int) -> Bool[Array, "h w"]:
-    return active & points.valid & (points.object == own)
+def _invisible(points: GBuffer, own: Int[Array, ""] | int) -> Bool[Array, "h w"]:
+    """The reflector itself, and the inside of any other reflector: the capture point may lie within it."""
+    return points.valid & ((points.object == own) | (reflective(points) & ~points.outside))
 
 
 @jax.jit

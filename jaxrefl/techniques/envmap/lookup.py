@@ -29,7 +29,6 @@ def read_stack(maps: Float[Array, "r h w c"], row: Int[Array, "*b"], direction: 
         index = (row * h + jnp.clip(line + dy, 0, h - 1)) * w + (column + dx) % w
         return flat[index]
 
-    fx, fy = fx[..., None], fy[..., None]
     return lerp(lerp(texel(0, 0), texel(1, 0), fx), lerp(texel(0, 1), texel(1, 1), fx), fy)
 
 
@@ -51,7 +50,7 @@ def read_lobe(
     wanted = jnp.sqrt(alpha)
     upper = jnp.clip(jnp.searchsorted(roughness, wanted).astype(jnp.int32), 1, levels)
     low, high = roughness[upper - 1], roughness[upper]
-    share = jnp.clip((wanted - low) / (high - low), 0, 1)[..., None]
+    share = jnp.clip((wanted - low) / (high - low), 0, 1)
     rough = state.rough.reshape(captures * levels, *state.rough.shape[2:])
     above = read_stack(rough, row * levels + upper - 1, direction)
     below = read_stack(rough, row * levels + jnp.maximum(upper - 2, 0), direction)

@@ -1,0 +1,234 @@
+"""Benchmarks: what the library costs on top of the bare ray cast, how it grows, what memory and start-up it takes.
+
+`jaxrefl bench` prints the tables and writes them, with the commands and the hardware beside them, to
+`docs/pages/figures/`. Times are medians of interleaved runs after compilation; ratios are of one run.
+"""
+
+import argparse
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import scenes
+from jaxrefl.core import resize
+from jaxrefl.rays import EmbreeTracer, camera_rays
+from jaxrefl.scene import assemble
+from jaxrefl.surface import look
+from pipelines.stamp import hardware, versions
+
+FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
+SCENE = "mirror_room"
+SIDES = (256, 512, 1024)
+TRIANGLES = (10_000, 100_000, 1_000_000)
+FIRST_FRAME = ["render", "cornell", "--technique", "raytrace", "--frames", "1", "--size", "960", "540"]
+
+
+def interleaved(runs: int, *functions: Callable[[], object]) -> list[float]:
+    """Median seconds of each function, run in turn so that all see the same machine.
+
+    Args:
+        runs: Counted runs of each, after one that is not counted.
+        functions: What to time; results are waited for.
+    Returns:
+        One median per function.
+    """
+    times: list[list[float]] = [[] for _ in functions]
+    for run in range(runs + 1):
+        for seconds, function in zip(times, functions, strict=True):
+            began = time.perf_counter()
+            jax.block_until_ready(function())
+            if run > 0:
+                seconds.append(time.perf_counter() - began)
+    return [statistics.median(seconds) for seconds in times]
+
+
+def bench_rays(sides: tuple[int, ...], triangles: tuple[int, ...], runs: int) -> list[dict]:
+    """embreex alone against rays + surface: camera to finished G-buffer.
+
+    Args:
+        sides: Image sides in pixels.
+        triangles: Tessellations of the scene.
+        runs: Counted runs.
+    Returns:
+        One row per scene size and image size.
+    """
+    rows = []
+    for target in triangles:
+        scene = assemble(scenes.build(SCENE, triangles=target))
+        began = time.perf_counter()
+        tracer = EmbreeTracer(scene.mesh)
+        build_seconds = time.perf_counter() - began
+        for side in sides:
+            camera = resize(scenes.BUILT_IN[SCENE].path(1, size=(side, side))[0], (side, side))
+            rays = camera_rays(camera)
+            origin = np.ascontiguousarray(rays.origin).reshape(-1, 3)
+            direction = np.ascontiguousarray(rays.direction).reshape(-1, 3)
+
+            def bare(origin=origin, direction=direction, tracer=tracer):
+                return tracer.cast(origin, direction)
+
+            def whole(scene=scene, tracer=tracer, camera=camera):
+                return look(scene, tracer, camera)
+
+            began = time.perf_counter()
+            jax.block_until_ready(whole())
+            first = time.perf_counter() - began
+            bare_seconds, whole_seconds = interleaved(runs, bare, whole)
+            rows.append(
+                {
+                    "triangles": int(scene.mesh.faces.shape[0]),
+                    "side": side,
+                    "bare_ms": 1e3 * bare_seconds,
+                    "whole_ms": 1e3 * whole_seconds,
+                    "ratio": whole_seconds / bare_seconds,
+                    "bare_mrays": side * side / bare_seconds / 1e6,
+                    "whole_mrays": side * side / whole_seconds / 1e6,
+                    "first_s": first,
+                    "build_s": build_seconds,
+                }
+            )
+    return rows
+
+
+def growth(rows: list[dict], axis: str) -> list[dict]:
+    """Exponent of time against pixels or triangles: 1 is linear, 0 constant.
+
+    Args:
+        rows: From `bench_rays`.
+        axis: "side" (pixels) or "triangles".
+    Returns:
+        One row per value of the other axis, with the exponent between its smallest and largest case, and how much
+            longer the largest takes.
+    """
+    other = "triangles" if axis == "side" else "side"
+    found = []
+    for value in sorted({row[other] for row in rows}):
+        chosen = sorted((row for row in rows if row[other] == value), key=lambda row: row[axis])
+        sizes = [row[axis] ** (2 if axis == "side" else 1) for row in chosen]
+        if len(chosen) < 2:
+            continue
+        span = np.log(sizes[-1] / sizes[0])
+        found.append(
+            {
+                other: value,
+                "from": sizes[0],
+                "to": sizes[-1],
+                "bare_exponent": float(np.log(chosen[-1]["bare_ms"] / chosen[0]["bare_ms"]) / span),
+                "whole_exponent": float(np.log(chosen[-1]["whole_ms"] / chosen[0]["whole_ms"]) / span),
+                "whole_times": chosen[-1]["whole_ms"] / chosen[0]["whole_ms"],
+            }
+        )
+    return found
+
+
+def bench_memory(triangles: int, size: tuple[int, int]) -> dict:
+    """Peak memory of a process of its own that renders one frame.
+
+    Args:
+        triangles: Tessellation of the scene.
+        size: (width, height).
+    Returns:
+        The figure and the command.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["render", SCENE, "--parameters", f"triangles={triangles}", "--technique", "raytrace"]
+        command += ["--frames", "1", "--size", str(size[0]), str(size[1]), "--out", f"{folder}/out"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        _run(command)
+        peak = max(before, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) / 1024
+    return {"triangles": triangles, "size": f"{size[0]}x{size[1]}", "peak_mib": peak}
+
+
+def bench_first_frame(runs: int) -> dict:
+    """Seconds from typing a command to its finished frame, without and with the compilation cache.
+
+    Args:
+        runs: Runs of each; the median is taken.
+    Returns:
+        Cold and warm seconds.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+
+        def once(number: int, extra: list[str]) -> float:
+            began = time.perf_counter()
+            _run([*FIRST_FRAME, "--out", f"{folder}/{number}", *extra])
+            return time.perf_counter() - began
+
+        cache = ["--cache", f"{folder}/cache"]
+        cold = [once(i, []) for i in range(runs)]
+        once(100, cache)
+        warm = [once(200 + i, cache) for i in range(runs)]
+    return {"command": " ".join(["jaxrefl", *FIRST_FRAME]), "cold_s": statistics.median(cold), "warm_s": statistics.median(warm)}
+
+
+def _run(arguments: list[str]) -> None:
+    subprocess.run([sys.executable, "-m", "pipelines.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def table(rows: list[dict]) -> str:
+    """Rows as a Markdown table.
+
+    Args:
+        rows: Dictionaries with the same keys.
+    Returns:
+        The table.
+    """
+    keys = list(rows[0])
+    shown = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    head = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
+    return "\n".join(head + ["| " + " | ".join(line) + " |" for line in shown])
+
+
+def main(argv: list[str]) -> int:
+    """Run the benchmarks.
+
+    Args:
+        argv: Arguments after `jaxrefl bench`.
+    Returns:
+        Exit code 0.
+    """
+    parser = argparse.ArgumentParser(prog="jaxrefl bench", description=__doc__)
+    parser.add_argument("--runs", type=int, default=9, help="counted runs of each case")
+    parser.add_argument("--quick", action="store_true", help="small cases, to see that it works")
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder for bench.json and bench.md")
+    arguments = parser.parse_args(argv)
+    sides, triangles = ((64, 128), (1_000, 10_000)) if arguments.quick else (SIDES, TRIANGLES)
+
+    # Memory first: the peak of a child counts from the largest child there has been.
+    size = (192, 108) if arguments.quick else (1920, 1080)
+    memory = bench_memory(10_000 if arguments.quick else 300_000, size)
+    start = bench_first_frame(1 if arguments.quick else 3)
+    rays = bench_rays(sides, triangles, arguments.runs)
+    result = {
+        "command": " ".join(["jaxrefl", "bench", *argv]),
+        "versions": versions(),
+        "hardware": hardware(),
+        "scene": SCENE,
+        "rays": rays,
+        "pixels": growth(rays, "side"),
+        "triangles": growth(rays, "triangles"),
+        "memory": memory,
+        "first_frame": start,
+    }
+    sections = {
+        f"embreex alone (`bare`) and rays + surface (`whole`), `{SCENE}`": rays,
+        "Growth with pixels (exponent 1 is linear)": result["pixels"],
+        "Growth with triangles (exponent 0 is constant)": result["triangles"],
+        "Peak memory of a process that renders one frame": [memory],
+        "Time to the first frame, whole process": [start],
+    }
+    text = "\n\n".join(f"**{title}**\n\n{table(rows)}" for title, rows in sections.items() if rows)
+    print(text)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / "bench.json").write_text(json.dumps(result, indent=1) + "\n")
+    (arguments.out / "bench.md").write_text(text + "\n")
+    return 0
