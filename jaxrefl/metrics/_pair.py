@@ -14,12 +14,12 @@ from jaxrefl.core import srgb_from_linear
 
 
 class Pair(NamedTuple):
-    """An image, its reference and the pixels to compare, as NumPy arrays."""
+    """An image, its reference and the pixels to compare, as NumPy arrays: linear, or both as displayed."""
 
     image: np.ndarray
-    """[h w 3] float64 linear radiance."""
+    """[h w 3] float64."""
     reference: np.ndarray
-    """[h w 3] float64 linear radiance."""
+    """[h w 3] float64."""
     mask: np.ndarray
     """[h w] bool."""
 
@@ -55,14 +55,19 @@ def nonempty_pair(image: Array | np.ndarray, reference: Array | np.ndarray, mask
     return pair
 
 
-def tone_mapped(image: np.ndarray, exposure: float) -> np.ndarray:
-    """[h w 3] float64 display values in [0, 1]: exposed, clipped, sRGB-coded.
+def displayed(pair: Pair, exposure: float) -> Pair:
+    """The pair in display values in [0, 1]: exposed, clipped, sRGB-coded.
 
     Raises:
         ValueError: If the exposure is out of range.
     """
-    clipped = np.clip(image * exposure_factor(exposure), 0, 1)
-    return np.asarray(srgb_from_linear(jnp.asarray(clipped, jnp.float32)), np.float64)
+    factor = exposure_factor(exposure)
+
+    def tone_mapped(image: np.ndarray) -> np.ndarray:
+        clipped = np.clip(image * factor, 0, 1)
+        return np.asarray(srgb_from_linear(jnp.asarray(clipped, jnp.float32)), np.float64)
+
+    return Pair(tone_mapped(pair.image), tone_mapped(pair.reference), pair.mask)
 
 
 def exposure_factor(exposure: float) -> float:

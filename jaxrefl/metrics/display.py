@@ -8,7 +8,7 @@ import math
 import numpy as np
 from jax import Array
 
-from jaxrefl.metrics._pair import checked_pair, nonempty_pair, tone_mapped
+from jaxrefl.metrics._pair import Pair, checked_pair, displayed, nonempty_pair
 
 
 def error_map255(image: Array | np.ndarray, reference: Array | np.ndarray, *, exposure: float = 0.0) -> np.ndarray:
@@ -24,9 +24,8 @@ def error_map255(image: Array | np.ndarray, reference: Array | np.ndarray, *, ex
         ValueError: If shapes differ, values are not finite, or the exposure is out of range.
     Edge cases: pixels that are clipped to white in both images differ by 0.
     """
-    pair = checked_pair(image, reference, None)
-    difference = tone_mapped(pair.image, exposure) - tone_mapped(pair.reference, exposure)
-    return np.asarray(255 * np.abs(difference).mean(-1), np.float32)
+    shown = displayed(checked_pair(image, reference, None), exposure)
+    return np.asarray(255 * np.abs(shown.image - shown.reference).mean(-1), np.float32)
 
 
 def mae255(
@@ -55,9 +54,7 @@ def mae255(
     Source: [WXKP14] §4.1, "average absolute pixel channel differences (i.e. L1 norm)"; [XWD17] §4.2 on the same scale.
     Differs from the source: values are not rounded to 8 bits first.
     """
-    pair = nonempty_pair(image, reference, mask)
-    difference = tone_mapped(pair.image, exposure) - tone_mapped(pair.reference, exposure)
-    return float(255 * np.mean(np.abs(difference[pair.mask])))
+    return mae255_of(displayed(nonempty_pair(image, reference, mask), exposure))
 
 
 def psnr(
@@ -82,7 +79,15 @@ def psnr(
         ValueError: If shapes differ, values are not finite, the mask is empty, or the exposure is out of range.
     Edge cases: infinite for pictures that are equal over the mask.
     """
-    pair = nonempty_pair(image, reference, mask)
-    difference = tone_mapped(pair.image, exposure) - tone_mapped(pair.reference, exposure)
-    mean_square = float(np.mean(difference[pair.mask] ** 2))
+    return psnr_of(displayed(nonempty_pair(image, reference, mask), exposure))
+
+
+def mae255_of(shown: Pair) -> float:
+    """`mae255` of a checked pair in display values."""
+    return float(255 * np.mean(np.abs((shown.image - shown.reference)[shown.mask])))
+
+
+def psnr_of(shown: Pair) -> float:
+    """`psnr` of a checked pair in display values."""
+    mean_square = float(np.mean((shown.image - shown.reference)[shown.mask] ** 2))
     return -10 * math.log10(mean_square) if mean_square > 0 else math.inf

@@ -3,10 +3,10 @@
 import numpy as np
 from jax import Array
 
-from jaxrefl.metrics._pair import checked_pair
-from jaxrefl.metrics.display import mae255, psnr
-from jaxrefl.metrics.linear import relmse, rmse
-from jaxrefl.metrics.structure import dssim, inside_border
+from jaxrefl.metrics._pair import checked_pair, displayed
+from jaxrefl.metrics.display import mae255_of, psnr_of
+from jaxrefl.metrics.linear import relmse_of, rmse_of
+from jaxrefl.metrics.structure import inside_border, ssim_of
 
 FIGURES = ("mae255", "rmse", "relmse", "psnr", "dssim")
 """Keys of `compare`, in the order of its columns."""
@@ -37,11 +37,12 @@ def compare(
     pair = checked_pair(image, reference, mask)
     if not pair.mask.any():
         return dict.fromkeys(FIGURES)
+    shown = displayed(pair, exposure)
     structured = bool((pair.mask & inside_border(pair.mask.shape)).any())
     return {
-        "mae255": mae255(*pair, exposure=exposure),
-        "rmse": rmse(*pair),
-        "relmse": relmse(*pair, exposure=exposure),
-        "psnr": psnr(*pair, exposure=exposure),
-        "dssim": dssim(*pair, exposure=exposure) if structured else None,
+        "mae255": mae255_of(shown),
+        "rmse": rmse_of(pair),
+        "relmse": relmse_of(pair, exposure=exposure),
+        "psnr": psnr_of(shown),
+        "dssim": (1 - ssim_of(shown)) / 2 if structured else None,
     }

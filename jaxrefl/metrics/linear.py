@@ -6,7 +6,7 @@ Not clipped and not tone-mapped, so a single firefly outside the displayable ran
 import numpy as np
 from jax import Array
 
-from jaxrefl.metrics._pair import exposure_factor, nonempty_pair
+from jaxrefl.metrics._pair import Pair, exposure_factor, nonempty_pair
 
 RELMSE_EPSILON = 1e-2
 """Added to the squared reference in `relmse`; 1 % of the squared radiance that is displayed as white."""
@@ -28,8 +28,7 @@ def rmse(image: Array | np.ndarray, reference: Array | np.ndarray, mask: Array |
     Edge cases: 0 for equal images; scales with the radiance.
     Source: [RLPWSD20] §7.3.3, Table 1, there over the glossy layer.
     """
-    pair = nonempty_pair(image, reference, mask)
-    return float(np.sqrt(np.mean((pair.image - pair.reference)[pair.mask] ** 2)))
+    return rmse_of(nonempty_pair(image, reference, mask))
 
 
 def relmse(
@@ -56,7 +55,16 @@ def relmse(
         ValueError: If shapes differ, values are not finite, the mask is empty, or exposure or epsilon is out of range.
     Edge cases: where the reference is black, the squared error is divided by `epsilon` alone.
     """
-    pair = nonempty_pair(image, reference, mask)
+    return relmse_of(nonempty_pair(image, reference, mask), exposure=exposure, epsilon=epsilon)
+
+
+def rmse_of(pair: Pair) -> float:
+    """`rmse` of a checked pair of linear images."""
+    return float(np.sqrt(np.mean((pair.image - pair.reference)[pair.mask] ** 2)))
+
+
+def relmse_of(pair: Pair, *, exposure: float, epsilon: float = RELMSE_EPSILON) -> float:
+    """`relmse` of a checked pair of linear images."""
     if not (np.isfinite(epsilon) and epsilon > 0):
         raise ValueError(f"epsilon: expected a finite number above 0, got {epsilon}")
     x, y = (exposure_factor(exposure) * array[pair.mask] for array in (pair.image, pair.reference))

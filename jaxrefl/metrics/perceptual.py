@@ -8,7 +8,7 @@ also lets NaN through without a word. Neither can happen here: values are checke
 import numpy as np
 from jax import Array
 
-from jaxrefl.metrics._pair import nonempty_pair, tone_mapped
+from jaxrefl.metrics._pair import displayed, nonempty_pair
 
 
 def flip(
@@ -35,15 +35,19 @@ def flip(
     Edge cases: 0 for equal pictures, black ones included.
     Source: Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020.
     """
-    pair = nonempty_pair(image, reference, mask)
+    shown = displayed(nonempty_pair(image, reference, mask), exposure)
     if not (np.isfinite(pixels_per_degree) and pixels_per_degree > 0):
         raise ValueError(f"pixels_per_degree: expected a finite number above 0, got {pixels_per_degree}")
     try:
         import flip_evaluator
     except ImportError as error:
         raise ImportError("flip needs the package flip-evaluator: pip install 'jaxrefl[flip]'") from error
-    shown, expected = (tone_mapped(x, exposure).astype(np.float32) for x in (pair.image, pair.reference))
     error_map, _, _ = flip_evaluator.evaluate(
-        expected, shown, "LDR", applyMagma=False, computeMeanError=False, parameters={"ppd": pixels_per_degree}
+        shown.reference.astype(np.float32),
+        shown.image.astype(np.float32),
+        "LDR",
+        applyMagma=False,
+        computeMeanError=False,
+        parameters={"ppd": pixels_per_degree},
     )
-    return float(np.mean(np.asarray(error_map)[pair.mask], dtype=np.float64))
+    return float(np.mean(np.asarray(error_map)[shown.mask], dtype=np.float64))

@@ -8,7 +8,7 @@ the picture. scikit-image is imported on first use, so that `import jaxrefl` sta
 import numpy as np
 from jax import Array
 
-from jaxrefl.metrics._pair import checked_pair, nonempty_pair, tone_mapped
+from jaxrefl.metrics._pair import Pair, checked_pair, displayed, nonempty_pair
 
 BORDER = 5
 """Pixels along each edge of the frame that the average leaves out: the radius of the window."""
@@ -27,22 +27,7 @@ def ssim_map(image: Array | np.ndarray, reference: Array | np.ndarray, *, exposu
         ValueError: If shapes differ, a side is below 11 pixels, values are not finite, or the exposure is out of range.
     Edge cases: 1 where the windows are equal, black ones included.
     """
-    from skimage.metrics import structural_similarity
-
-    pair = checked_pair(image, reference, None)
-    if min(pair.mask.shape) < 2 * BORDER + 1:
-        raise ValueError(f"image: expected at least {2 * BORDER + 1} pixels on each side, got shape {pair.image.shape}")
-    _, similarity = structural_similarity(
-        tone_mapped(pair.reference, exposure),
-        tone_mapped(pair.image, exposure),
-        data_range=1.0,
-        channel_axis=-1,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        full=True,
-    )
-    return np.asarray(similarity.mean(-1), np.float32)
+    return similarity_of(displayed(checked_pair(image, reference, None), exposure))
 
 
 def ssim(
@@ -66,12 +51,7 @@ def ssim(
     Edge cases: with `mask` None it is scikit-image's own mean; windows of masked pixels also see their neighbours
         outside the mask.
     """
-    pair = nonempty_pair(image, reference, mask)
-    similarity = ssim_map(pair.image, pair.reference, exposure=exposure)
-    inner = pair.mask & inside_border(pair.mask.shape)
-    if not inner.any():
-        raise ValueError(f"mask: expected a True pixel more than {BORDER} pixels from the frame's edge, got none")
-    return float(np.mean(similarity[inner], dtype=np.float64))
+    return ssim_of(displayed(nonempty_pair(image, reference, mask), exposure))
 
 
 def dssim(
@@ -109,3 +89,33 @@ def inside_border(shape: tuple[int, ...]) -> np.ndarray:
     inside = np.zeros(shape, bool)
     inside[BORDER : shape[0] - BORDER, BORDER : shape[1] - BORDER] = True
     return inside
+
+
+def similarity_of(shown: Pair) -> np.ndarray:
+    """`ssim_map` of a checked pair in display values."""
+    from skimage.metrics import structural_similarity
+
+    if min(shown.mask.shape) < 2 * BORDER + 1:
+        raise ValueError(
+            f"image: expected at least {2 * BORDER + 1} pixels on each side, got shape {shown.image.shape}"
+        )
+    similarity = structural_similarity(
+        shown.reference,
+        shown.image,
+        data_range=1.0,
+        channel_axis=-1,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )[1]
+    return np.asarray(similarity.mean(-1), np.float32)
+
+
+def ssim_of(shown: Pair) -> float:
+    """`ssim` of a checked pair in display values."""
+    similarity = similarity_of(shown)
+    inner = shown.mask & inside_border(shown.mask.shape)
+    if not inner.any():
+        raise ValueError(f"mask: expected a True pixel more than {BORDER} pixels from the frame's edge, got none")
+    return float(np.mean(similarity[inner], dtype=np.float64))
