@@ -77,6 +77,30 @@ def test_polygons_of_any_size_become_fans(tmp_path: Path):
     np.testing.assert_allclose(area, 3.5 * np.sin(2 * np.pi / 7))
 
 
+@pytest.mark.parametrize(
+    "faces",
+    [
+        "f 1/1/1 2/2/1 3/3/1\nf 1 3 4",
+        "f 1 3 4\nf 1/1/1 2/2/1 3/3/1",
+        "f 1 2/2 3/3/1\nf 1 3 4",
+        "f 1//1 2//1 3//1\nf 1/1 3/3 4/4",
+        "f 1//1 2//1 3//1\nf 1//1 3//1 4//1",
+        "f 1/1 2/2 3/3\nf 1/1 3/3 4/4",
+    ],
+)
+def test_every_mixture_of_references_is_told_apart(tmp_path: Path, faces: str):
+    """Counting slashes over the whole file is not enough: some mixtures have as many as a uniform file."""
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n" + faces
+    (part,) = describe_file(write_obj(tmp_path, text)).parts
+    corners = part.vertices[part.faces]
+    expected = {((0, 0), (1, 0), (1, 1)), ((0, 0), (1, 1), (0, 1))}
+    assert {tuple(tuple(int(c) for c in p[:2]) for p in triangle) for triangle in corners} == expected
+    if "1/1" in faces:
+        assert part.uv is not None
+        at = part.uv[(part.vertices == [1, 1, 0]).all(1)]
+        assert (at == [1, 0]).all(1).any()  # the third texture coordinate, counted from the top
+
+
 def test_objects_materials_tabs_comments_and_continued_lines(tmp_path: Path):
     text = (
         CUBE_OBJ.replace("f 5", "usemtl b # blue\nf 5").replace("v -1 -1 -1\n", "v\t-1  -1 \\\n -1 # corner\n")

@@ -6,33 +6,17 @@ operations per kind of line. Texture coordinates are turned around: OBJ counts v
 Source: "Object Files (.obj)", Advanced Visualizer manual, appendix B1 (Wavefront Technologies).
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from jaxrefl.scene.description import Description, Material, Part, matte
-from jaxrefl.scene.errors import SceneError
 from jaxrefl.scene.mtl import read_mtl
+from jaxrefl.scene.obj_statements import KNOWN, Statements, read_statements, read_triangles, read_vectors
 from jaxrefl.scene.vertex_colours import linear_from_stored
 
 DEFAULT_MATERIAL = matte("default", (0.8, 0.8, 0.8))
 """What surfaces without a material are made of: a matte light grey."""
-
-_KNOWN = {"v", "vt", "vn", "f", "o", "g", "s", "usemtl", "mtllib"}
-_REST = {0: "/0/0", 1: "/0", 2: ""}
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """The statements of a file: keyword, rest and line number of each."""
-
-    keyword: np.ndarray
-    rest: list[str]
-    number: np.ndarray
-
-    def rows(self, keyword: str) -> np.ndarray:
-        return np.flatnonzero(self.keyword == keyword)
 
 
 def describe_obj(path: Path) -> Description:
@@ -49,14 +33,15 @@ def describe_obj(path: Path) -> Description:
         material, or with one that no library defines, get a matte grey of 0.8 and a note. Six numbers after `v` are a
         position and a colour, taken as sRGB. Smoothing groups are not used: see `smooth_normals`.
     """
-    lines = _statements(path)
+    lines = read_statements(path)
     notes: list[str] = []
-    for keyword in sorted(set(lines.keyword.tolist()) - _KNOWN):
+    for keyword in sorted(set(lines.keyword.tolist()) - KNOWN):
         notes.append(f"{(lines.keyword == keyword).sum()} lines starting with {keyword!r} are ignored")
-    positions, colours = _vectors(path, lines, "v", 3)
-    texture, _ = _vectors(path, lines, "vt", 2)
-    normal, _ = _vectors(path, lines, "vn", 3)
-    corners, faces, owner = _triangles(path, lines, (len(positions), len(texture), len(normal)))
+    positions, extra = read_vectors(lines, "v", 3)
+    colours = None if extra is None or extra.shape[1] < 3 else linear_from_stored(extra[:, -3:])
+    texture, _ = read_vectors(lines, "vt", 2)
+    normal, _ = read_vectors(lines, "vn", 3)
+    corners, faces, owner = read_triangles(lines, (len(positions), len(texture), len(normal)))
     if not len(normal) and len(lines.rows("s")):
         notes.append("smoothing groups (s) are ignored; normals are smooth up to the crease angle")
     objects, object_of = _named_state(lines, "o" if len(lines.rows("o")) else "g", path.stem)
@@ -75,73 +60,7 @@ def describe_obj(path: Path) -> Description:
     return Description(path.stem, parts, notes=list(dict.fromkeys(notes)))
 
 
-def _statements(path: Path) -> _Lines:
-    text = path.read_bytes().decode("utf-8", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-    raw = text.replace("\\\n", " ").replace("\t", " ").split("\n")
-    pairs = [(i, *line.split("#", 1)[0].strip().partition(" ")) for i, line in enumerate(raw, 1)]
-    pairs = [pair for pair in pairs if pair[1]]
-    keyword = np.array([pair[1] for pair in pairs], dtype=np.str_)
-    known = np.isin(keyword, sorted(_KNOWN))
-    if len(pairs) and not known.any():
-        raise SceneError(f"{path}: expected OBJ statements such as 'v 0 0 0', got {pairs[0][1][:40]!r}")
-    return _Lines(keyword, [pair[3] for pair in pairs], np.array([pair[0] for pair in pairs], np.int64))
-
-
-def _vectors(path: Path, lines: _Lines, keyword: str, columns: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """The vectors [n columns] after a keyword and, where each has six numbers or more, linear colours [n 3]."""
-    rows = lines.rows(keyword)
-    values = []
-    for row in rows:
-        try:
-            values.append([float(token) for token in lines.rest[row].split()])
-        except ValueError as error:
-            raise SceneError(f"{path}: line {lines.number[row]}: {error}") from error
-        if len(values[-1]) < columns:
-            raise SceneError(
-                f"{path}: line {lines.number[row]}: expected {columns} numbers after {keyword!r}, got {len(values[-1])}"
-            )
-    vectors = np.array([value[:columns] for value in values], np.float64).reshape(-1, columns)
-    if not values or min(map(len, values)) < 6:
-        return vectors, None
-    return vectors, linear_from_stored(np.array([value[-3:] for value in values]))
-
-
-def _triangles(path: Path, lines: _Lines, sizes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners [n 3] as 0-based (v, vt, vn) with -1 for none, triangles [f 3] of corners, and the face line of each."""
-    rows = lines.rows("f")
-    split = [lines.rest[row].split() for row in rows]
-    count = np.array([len(refs) for refs in split], np.int64)
-    for row in rows[count < 3]:
-        raise SceneError(f"{path}: line {lines.number[row]}: expected a face of at least 3 vertices: {lines.rest[row]}")
-    line = np.repeat(np.arange(len(rows)), count)
-    try:
-        text = "/".join([ref + _REST[ref.count("/")] for refs in split for ref in refs])
-        flat = [int(token) if token else 0 for token in text.split("/")] if text else []
-        index = np.array(flat, np.int64).reshape(-1, 3)
-    except (KeyError, ValueError) as error:
-        raise SceneError(f"{path}: broken face: expected vertex/texture/normal numbers ({error})") from error
-    for column, keyword in enumerate(("v", "vt", "vn")):
-        defined = np.cumsum(lines.keyword == keyword)[rows][line]  # how many stand above the face
-        given = index[:, column]
-        resolved = np.where(given < 0, defined + given, given - 1)
-        wrong = (given != 0) & ((resolved < 0) | (resolved >= sizes[column]))
-        wrong |= (given == 0) & (keyword == "v")
-        if wrong.any():
-            first = int(np.flatnonzero(wrong)[0])
-            raise SceneError(
-                f"{path}: line {lines.number[rows[line[first]]]}: {keyword} index {given[first]} is out of range: "
-                f"expected 1 to {sizes[column]} or -{defined[first]} to -1 ({int(wrong.sum())} such indices)"
-            )
-        index[:, column] = np.where(given == 0, -1, resolved)
-    start = np.cumsum(count) - count
-    fan = np.maximum(count - 2, 0)
-    owner = np.repeat(np.arange(len(rows)), fan)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(fan) - fan, fan)
-    first = start[owner]
-    return index, np.stack([first, first + step + 1, first + step + 2], 1), owner
-
-
-def _named_state(lines: _Lines, keyword: str, default: str) -> tuple[list[str], np.ndarray]:
+def _named_state(lines: Statements, keyword: str, default: str) -> tuple[list[str], np.ndarray]:
     """The distinct names after a keyword, and for each statement the number of the one that is in force."""
     rows = lines.rows(keyword)
     given = [lines.rest[row].strip() or default for row in rows]
@@ -150,7 +69,7 @@ def _named_state(lines: _Lines, keyword: str, default: str) -> tuple[list[str], 
     return list(number), values[np.cumsum(lines.keyword == keyword)]
 
 
-def _materials(path: Path, lines: _Lines, notes: list[str]) -> dict[str, Material]:
+def _materials(path: Path, lines: Statements, notes: list[str]) -> dict[str, Material]:
     materials: dict[str, Material] = {}
     for row in lines.rows("mtllib"):
         whole = lines.rest[row].strip()
