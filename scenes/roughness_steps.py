@@ -24,7 +24,7 @@ POST = 2.6
 WALL = ((0.05, 0.065, 0.08), (0.13, 0.15, 0.17), (0.05, 0.065, 0.08), (0.3, 0.09, 0.035))
 
 
-def build(*, triangles: int = 20_000, strips: int = 6, alpha: Real = 0.5, metallic: bool = False) -> Description:
+def build(*, triangles: int = 20_000, strips: int = 6, alpha: Real = 0.5, metallic: bool = True) -> Description:
     """The scene.
 
     Args:

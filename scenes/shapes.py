@@ -46,7 +46,7 @@ class Geometry:
         a, b = math.radians(turn), math.radians(tilt)
         about_y = np.array([[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]])
         about_x = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])
-        rotation = about_y @ about_x
+        rotation = _without_dust(about_y @ about_x)
         vertices = scale * self.vertices @ rotation.T + np.asarray(to, np.float64)
         return dataclasses.replace(self, vertices=vertices, normals=self.normals @ rotation.T)
 
@@ -142,7 +142,7 @@ def lathe(profile: Profile, normals: Profile, *, around: int, angles: tuple[Real
     phi = np.radians(np.linspace(angles[0], angles[1], around + 1))
     if angles[1] - angles[0] == 360:
         phi[-1] = phi[0]  # the seam's two columns agree to the last bit
-    directions = np.stack([np.cos(phi), np.sin(phi)], -1)
+    directions = _without_dust(np.stack([np.cos(phi), np.sin(phi)], -1))
     radius, height = profile[:, None, 0], profile[:, None, 1]
     unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
@@ -312,3 +312,8 @@ def fan(ring: Points, normal) -> Geometry:
     faces = np.stack([np.zeros(count, int), index + 1, index + 2], -1)
     normals = np.broadcast_to(np.asarray(normal, np.float64), vertices.shape).copy()
     return Geometry(vertices, faces, normals, np.full((len(vertices), 2), 0.5))
+
+
+def _without_dust(x: Float[np.ndarray, "*b"]) -> Float[np.ndarray, "*b"]:
+    """Sines and cosines with exact zeros, so that points on a coordinate plane lie on it."""
+    return np.where(np.abs(x) < 1e-15, 0.0, x)

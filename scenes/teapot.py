@@ -9,7 +9,7 @@ the topological sense too.
 Source: M. Newell, 1975; original proportions, with Crow's bottom. Axes here: +Y up, the spout points to +X.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -193,6 +193,7 @@ def _grid(
     )
 
 
+@lru_cache(maxsize=64)
 def _meet(name: str, end: int, columns: int) -> Float[np.ndarray, "c 3"]:
     """Where the first or last end of a tube crosses the body: (u, s, t) of each column, by Newton's method."""
     tube, body = patches()[name], patches()["body"]

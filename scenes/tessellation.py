@@ -41,17 +41,17 @@ def tessellate(triangles: int, make: Callable[[Real], list[Part]]) -> list[Part]
     if isinstance(triangles, bool) or int(triangles) != triangles or not FEWEST <= triangles <= MOST:
         raise ValueError(f"triangles: expected a whole number from {FEWEST} to {MOST}, got {triangles}")
     low, high, detail = 0.0, math.inf, 1.0
-    best, parts = math.inf, make(detail)
-    chosen = parts
-    for _ in range(12):
+    chosen = parts = make(detail)
+    best = math.inf
+    for _ in range(10):
         count = sum(len(part.faces) for part in parts)
         error = abs(math.log(count / triangles))
         if error < best:
             best, chosen = error, parts
-        if error < 0.1:
-            break
         low, high = (detail, high) if count < triangles else (low, detail)
-        guess = max(detail, 0.1) * math.sqrt(triangles / count)
-        detail = guess if low < guess < high else (0.5 * (low + high) if math.isfinite(high) else 2 * low + 1)
+        if error < 0.1 or high < 0.05 or high < 1.02 * low:
+            break
+        guess = detail * math.sqrt(triangles / count)
+        detail = guess if low < guess < high else 0.5 * (low + high) if math.isfinite(high) else 2 * low
         parts = make(detail)
     return chosen
