@@ -2,8 +2,8 @@
 
 - A built-in scene brings a path of its own.
 - A camera that stands still (a scene file's, or the only one of a camera file) is turned into a short closed loop
-  around it when several frames are asked for: frame 0 is the camera itself, the others turn about the point it looks at, by at
-  most `swing` degrees. The loop shrinks where something stands in its way.
+  around it when several frames are asked for: frame 0 is the camera itself, the others turn about the point it looks
+  at, by at most `swing` degrees. The loop shrinks where something stands in its way.
 - A scene without any camera gets one that looks at its bounds from the front, a little from above and from the right.
 """
 

@@ -23,6 +23,9 @@ from pipelines.toml_tables import JobError
 _AHEAD = 2
 """Units per worker that are handed out at a time, so that a long job does not fill the scheduler's memory."""
 
+TIMEOUT = 10
+"""Seconds to wait for a scheduler to answer."""
+
 _stage: tuple[str, Stage] | None = None
 _turn = threading.Lock()
 
@@ -98,13 +101,12 @@ def _connect(scheduler: str, stack: ExitStack) -> Any:
     if kind == "local":
         if not rest.isdecimal() or int(rest) < 1:
             raise JobError(f"--scheduler: expected local:N with N processes, at least 1, got {scheduler!r}")
-        cluster = LocalCluster(
-            n_workers=int(rest), threads_per_worker=1, processes=True, memory_limit=0, dashboard_address=None
-        )
+        options: dict[str, Any] = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
+        cluster = LocalCluster(n_workers=int(rest), processes=True, **options)
         return stack.enter_context(Client(stack.enter_context(cluster)))
     if not rest:
         raise JobError(f"--scheduler: expected local:N or an address such as tcp://host:8786, got {scheduler!r}")
     try:
-        return stack.enter_context(Client(scheduler, timeout=10))
+        return stack.enter_context(Client(scheduler, timeout=TIMEOUT))
     except (OSError, ValueError) as error:
         raise JobError(f"--scheduler {scheduler}: cannot be reached: {error}") from error

@@ -92,7 +92,7 @@ def _summary(result: "Result") -> None:
         table.add_row(technique, mask, *(_mean([row[name] for row in rows]) for name in names))
     console = Console()
     console.print(table)
-    console.print(f"{result.rendered} frames rendered; report: {page}", markup=False, highlight=False, soft_wrap=True)
+    console.print(f"frames rendered: {result.rendered}; report: {page}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _mean(values: list[float | None]) -> str:

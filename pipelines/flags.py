@@ -45,9 +45,7 @@ SizeFlag = Annotated[
 ]
 Samples = Annotated[int | None, *_optional(int, "N", "16 times the technique's own, at least 64")]
 SceneName = Annotated[str | None, *_optional(str, "SCENE", "the job's")]
-Pairs = Annotated[
-    tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="(default: the defaults)")
-]
+Pairs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="(default: the defaults)")]
 OutFolder = Annotated[Path, tyro.conf.arg(metavar="DIR", aliases=["-o"])]
 
 
@@ -99,6 +97,8 @@ class RunFlags(SceneFlags):
     """Image size in pixels."""
     seed: int = 0
     """Seed of all random numbers."""
+    cold: bool = False
+    """Let each technique compile everything it needs, so that compile times do not depend on the order; slower."""
     scheduler: Annotated[str | None, *_optional(str, "local:N|tcp://HOST:PORT", "this process")] = None
     """Where to render: N processes of this machine, or a dask.distributed scheduler."""
     cache: Folder = None
@@ -197,7 +197,7 @@ def _value_of(flag: str, argv: Sequence[str]) -> str | None:
 
 def _defaults(kind: type, job: Job) -> Any:
     """Flags that say what a job file says."""
-    values: dict[str, Any] = {name: getattr(job, name) for name in ("frames", "size", "seed", "outputs")}
+    values: dict[str, Any] = {name: getattr(job, name) for name in ("frames", "size", "seed", "cold", "outputs")}
     scene = job.scene
     names = ("overrides", "environment", "up", "units", "crease_angle")
     values |= {"scene": scene.source, **{name: getattr(scene, name) for name in names}}
@@ -253,6 +253,7 @@ def job_of(flags: Any, base: Job | None) -> Job:
         frames=flags.frames,
         size=flags.size,
         seed=flags.seed,
+        cold=flags.cold,
         camera=_camera(flags.camera, old.camera),
         outputs=flags.outputs,
         reference=reference,

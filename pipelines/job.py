@@ -127,6 +127,8 @@ class Job:
     """Width and height in pixels; None: the camera file's, otherwise 960 by 540."""
     seed: int = 0
     """Seed of all random numbers."""
+    cold: bool = False
+    """True: each technique compiles everything it needs, so that compile times do not depend on the order; slower."""
     camera: CameraPath = field(default_factory=CameraPath)
     outputs: Outputs = field(default_factory=Outputs)
     reference: Reference | None = None

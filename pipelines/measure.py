@@ -2,7 +2,8 @@
 
 `seconds` is the steady wall-clock time of the technique's `step`, until its results are there. JAX reports when it
 compiles; a step in which it did is run a second time, the second time counts, and what the first took longer is
-`compile_seconds`.
+`compile_seconds`. What an earlier technique or the reference compiled already is not compiled again, unless the job is
+`cold`: then each technique starts with empty caches.
 """
 
 import contextlib

@@ -153,6 +153,8 @@ class Stage:
             The technique; `init` runs the first time only.
         """
         if name not in self._prepared:
+            if self.job.cold:
+                jax.clear_caches()
             technique, values = self._chosen(name)
             where = f"[technique.{name}]" if name != REFERENCE else "[reference.knobs]"
             options = build(technique.Options, values, where=where)

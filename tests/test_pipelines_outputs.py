@@ -106,7 +106,7 @@ def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
 
 def test_a_real_write_error_leaves_nothing(tmp_path):
     """The kernel refuses the bytes half-way, as a full disk or a quota does."""
-    code = "from pathlib import Path; from pipelines.outputs import write_atomic; write_atomic(Path('big.bin'), b'x' * 10**6)"
+    code = "import pathlib, pipelines.outputs as o; o.write_atomic(pathlib.Path('big.bin'), b'x' * 10**6)"
 
     def limit():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
