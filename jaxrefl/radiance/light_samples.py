@@ -23,7 +23,12 @@ from jaxrefl.scene.textures import texture_rgba
 FAR = 1e30
 """Length of a shadow ray that leaves the scene, world units."""
 COSINE_SHARE = 0.5
-"""Share of the environment's samples that are drawn from the cosine lobe instead of the map."""
+"""Share of the environment's samples that are drawn from the cosine lobe instead of the map.
+
+Standard deviation of the irradiance from 4 samples, relative to its mean, averaged over 64 normals: 0.43 (an outdoor
+map with a sun) and 0.62 (a studio with small lamps) at 0.5; 0.63 and 0.80 from the map alone; 0.60 and 6.4 from the
+lobe alone. Between 0.25 and 0.5 it hardly changes; the worst normal is best off at 0.5.
+"""
 
 
 def _count(default: int, high: int, help: str) -> Any:
@@ -68,9 +73,9 @@ class LightSamples(eqx.Module):
 
     rays: Rays
     """From just above the point towards the light [s n]."""
-    t_max: Float[Array, "s n"]
+    t_max: Float[Array, "*s n"]
     """Distance to the light; 0 where the sample brings nothing and need not be cast."""
-    irradiance: Float[Array, "s n 3"]
+    irradiance: Float[Array, "*s n 3"]
     """Share of the irradiance that arrives if nothing is in the way; the sum over `s` estimates the irradiance."""
 
 

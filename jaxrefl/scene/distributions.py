@@ -73,6 +73,9 @@ def invert_cdf(
 
     first = jnp.zeros_like(start)
     index, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (first, first + (count - 1)))
+    # Without the barriers XLA computes what precedes a gather again for each of its consumers: twice the time.
+    index = jax.lax.optimization_barrier(index)
     below = jnp.where(index > 0, cdf[start + jnp.maximum(index - 1, 0)], 0)
     width = cdf[start + index] - below
-    return index, jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)
+    rest = jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)
+    return index, jax.lax.optimization_barrier(rest)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrefl._types import Environment
-from jaxrefl.core import direction_from_latlong, latlong_from_direction
+from jaxrefl.core import latlong_from_direction
 from jaxrefl.scene.description import Sky
 from jaxrefl.scene.distributions import distribution, invert_cdf
 from jaxrefl.scene.errors import SceneError
@@ -80,7 +80,7 @@ def environment_radiance(environment: Environment, direction: Float[Array, "*b 3
     """
     if environment.probability.size == 1:
         return jnp.broadcast_to(environment.radiance[0, 0], direction.shape)
-    return _bilinear(environment.radiance, latlong_from_direction(_to_map(environment, direction)))
+    return _bilinear(environment.radiance, _map_coordinates(environment, direction))
 
 
 def sample_environment(
@@ -101,13 +101,16 @@ def sample_environment(
     # Uniform in solid angle within the texel: the squares of sin and cos of half the polar angle are linear in v.
     half_angle = np.pi / (2 * height) * np.arange(height + 1)
     sin2, cos2 = (jnp.asarray(f(half_angle) ** 2, u.dtype) for f in (np.sin, np.cos))
-    sin, cos = (jnp.sqrt(f[row] * (1 - v) + f[row + 1] * v) for f in (sin2, cos2))
-    uv = jnp.stack([(column.astype(x.dtype) + x) / width, jnp.arctan2(sin, cos) * (2 / np.pi)], -1)
-    direction = _to_world(environment, direction_from_latlong(uv))
+    sin2, cos2 = jax.lax.optimization_barrier(tuple(f[row] * (1 - v) + f[row + 1] * v for f in (sin2, cos2)))
+    azimuth = (column.astype(x.dtype) + x) * (2 * np.pi / width) - np.pi
+    sin = 2 * jnp.sqrt(sin2 * cos2)
+    local = jnp.stack([sin * jnp.sin(azimuth), cos2 - sin2, -sin * jnp.cos(azimuth)], -1)
+    direction = _rotate(environment.world_from_map, jax.lax.optimization_barrier(local))
     if height * width == 1:
         radiance = jnp.broadcast_to(environment.radiance[0, 0], direction.shape)
     else:
-        radiance = _bilinear(environment.radiance, uv)
+        polar = 2 * jnp.arctan2(jnp.sqrt(sin2), jnp.sqrt(cos2))
+        radiance = _bilinear(environment.radiance, jnp.stack([0.5 + azimuth / (2 * np.pi), polar / np.pi], -1))
     return direction, radiance, _density(environment, row, column)
 
 
@@ -122,7 +125,7 @@ def environment_pdf(environment: Environment, direction: Float[Array, "*b 3"]) -
     Edge cases: 0 where the map is black around the direction.
     """
     height, width = environment.probability.shape
-    uv = latlong_from_direction(_to_map(environment, direction))
+    uv = _map_coordinates(environment, direction)
     column = jnp.clip((uv[..., 0] * width).astype(jnp.int32), 0, width - 1)
     row = jnp.clip((uv[..., 1] * height).astype(jnp.int32), 0, height - 1)
     return _density(environment, row, column)
@@ -158,9 +161,11 @@ def _bilinear(image: Float[Array, "h w c"], uv: Float[Array, "*b 2"]) -> Float[A
     return above * (1 - fy) + below * fy
 
 
-def _to_map(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    return jnp.matmul(direction, environment.world_from_map, precision=jax.lax.Precision.HIGHEST)
+def _map_coordinates(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 2"]:
+    # The barrier keeps XLA from computing the coordinates again for each texel that is gathered: half the time.
+    return jax.lax.optimization_barrier(latlong_from_direction(_rotate(environment.world_from_map.T, direction)))
 
 
-def _to_world(environment: Environment, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    return jnp.matmul(direction, environment.world_from_map.T, precision=jax.lax.Precision.HIGHEST)
+def _rotate(rotation: Float[Array, "3 3"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    return jnp.stack([x * row[0] + y * row[1] + z * row[2] for row in rotation], -1)

@@ -128,19 +128,18 @@ def _read_exr(path: Path) -> np.ndarray:
     import OpenEXR
 
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            parts = [(part.channels, part.header) for part in file.parts]
+        file = OpenEXR.File(str(path), separate_channels=True)
     except Exception as error:  # the bindings raise bare RuntimeError, ValueError and TypeError
         raise SceneError(f"{path}: cannot decode the OpenEXR file: {error}") from error
-    for channels, header in parts:
-        names = ("R", "G", "B") if {"R", "G", "B"} <= channels.keys() else ("Y", "Y", "Y")
-        if not set(names) <= channels.keys() or {"RY", "BY"} & channels.keys():
-            continue
-        window, display = (np.asarray(header[key]) for key in ("dataWindow", "displayWindow"))
-        if not np.array_equal(window, display):
-            raise SceneError(
-                f"{path}: expected the whole image, got the data window {window.tolist()} of {display.tolist()}"
-            )
-        return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], -1)
-    found = sorted({name for channels, _ in parts for name in channels})
+    with file:
+        parts = [(part.channels, part.header) for part in file.parts]
+        for channels, header in parts:
+            names = ("R", "G", "B") if {"R", "G", "B"} <= channels.keys() else ("Y", "Y", "Y")
+            if not set(names) <= channels.keys() or {"RY", "BY"} & channels.keys():
+                continue
+            window, display = (np.asarray(header[key]).tolist() for key in ("dataWindow", "displayWindow"))
+            if window != display:
+                raise SceneError(f"{path}: expected the whole image, got the data window {window} of {display}")
+            return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], -1)
+        found = sorted({name for channels, _ in parts for name in channels})
     raise SceneError(f"{path}: expected channels R, G and B (or Y), got {', '.join(found) or 'none'}")
