@@ -1,4 +1,4 @@
-"""Radiance RGBE writers in all three codings, and the decoded values in float64; written from the format's description."""
+"""Radiance RGBE writers in all three codings, and the decoded values in float64; written from the description."""
 
 import numpy as np
 
