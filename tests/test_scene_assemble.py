@@ -153,6 +153,16 @@ def test_a_mirror_box_is_planar_and_a_matte_one_is_nothing():
         assert (features.planar, features.curved) == (planar, False)
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_features_do_not_depend_on_size_or_place(scale: float):
+    box, sphere = trimesh.creation.box(), trimesh.creation.icosphere(subdivisions=3)
+    turn = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.7, 0.4]))[:3, :3]
+    for mesh, planar in ((box, True), (sphere, False)):
+        vertices = scale * (mesh.vertices @ turn.T + [5, -3, 2])
+        features = scene_of(Part("thing", vertices, mesh.faces, mirror("m"))).features
+        assert (features.planar, features.curved) == (planar, not planar)
+
+
 def test_bent_normals_make_a_flat_mirror_curved():
     normals = np.array([[0.1, 0, 1], [-0.1, 0, 1], [0, 0.1, 1], [0, 0, 1]])
     features = scene_of(quad(material=mirror("m"), normals=normals)).features

@@ -33,7 +33,7 @@ FILES = {
     "gltf-MetalRoughSpheresNoTextures/MetalRoughSpheresNoTextures.glb": (
         1040409 - 196,
         102,
-        98,
+        99,  # 98 of the file, and the default one of the labels
         (-0.001, -0.001, -0.003),
         (0.006, 0.006, 0),
     ),

@@ -173,7 +173,11 @@ def _placed(part: Part, name: str, world: np.ndarray) -> Part:
     mirrored = np.linalg.det(linear) < 0
     # normals go with the cofactor matrix, which also exists for singular transforms
     cofactor = np.stack([np.cross(linear[(i + 1) % 3], linear[(i + 2) % 3]) for i in range(3)])
-    tangents = part.tangents
+    normals, tangents = part.normals, part.tangents
+    if normals is not None:
+        turned = normals @ (-cofactor if mirrored else cofactor).T
+        length, new_length = (np.linalg.norm(n, axis=1, keepdims=True) for n in (normals, turned))
+        normals = turned * length / np.where(new_length > 0, new_length, 1.0)
     if tangents is not None:
         handedness = tangents[:, 3:] * (-1.0 if mirrored else 1.0)
         tangents = np.concatenate([tangents[:, :3] @ linear.T, handedness], 1)
@@ -186,7 +190,7 @@ def _placed(part: Part, name: str, world: np.ndarray) -> Part:
         vertices=vertices,
         faces=part.faces[:, ::-1] if mirrored else part.faces,
         material=part.material,
-        normals=None if part.normals is None else part.normals @ (-cofactor if mirrored else cofactor).T,
+        normals=normals,
         uv=part.uv,
         tangents=tangents,
         colours=part.colours,

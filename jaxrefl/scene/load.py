@@ -21,7 +21,12 @@ from jaxrefl.scene.gltf import describe_gltf
 from jaxrefl.scene.obj import describe_obj
 from jaxrefl.scene.override_lights import environment_sky
 from jaxrefl.scene.overrides import apply_overrides, find_overrides, read_overrides
-from jaxrefl.scene.parts import with_smooth_normals, without_broken_triangles, without_degenerate_triangles
+from jaxrefl.scene.parts import (
+    note_normals,
+    with_smooth_normals,
+    without_broken_triangles,
+    without_degenerate_triangles,
+)
 from jaxrefl.scene.placement import placed
 from jaxrefl.scene.ply_stl import describe_ply, describe_stl
 
@@ -137,6 +142,7 @@ def _read(path: Path) -> Description:
 def _with_clean_parts(description: Description, crease_angle: float) -> Description:
     notes = list(description.notes)
     parts = without_degenerate_triangles(without_broken_triangles(description.parts, notes), notes)
+    note_normals(parts, notes)
     parts = with_smooth_normals(parts, crease_angle, notes)
     return dataclasses.replace(description, parts=parts, notes=notes)
 

@@ -67,7 +67,7 @@ def _prepared(part: Part, notes: list[str], smooth: bool, needs_tangents: bool) 
     if smooth and part.normals is None:
         part = _unshared(part)
     elif part.normals is not None:
-        normals, _, broken = repaired_normals(part.vertices, part.faces, part.normals)
+        normals, broken = repaired_normals(part.vertices, part.faces, part.normals)
         if broken:
             notes.append(f"object {part.name!r}: {broken} normals are zero or NaN; replaced by the mean of their faces")
         part = dataclasses.replace(part, normals=normals)

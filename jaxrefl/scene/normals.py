@@ -110,7 +110,7 @@ def smooth_normals(
     return inverse.reshape(-1, 3), source, normalised(sums)[unique // len(vertices)]
 
 
-def repaired_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, int, int]:
+def repaired_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, int]:
     """Authored normals brought to unit length; unusable ones replaced by the mean of the surrounding faces.
 
     Args:
@@ -118,8 +118,7 @@ def repaired_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarra
         faces: [f 3] indices.
         normals: [v 3] authored normals of any length.
     Returns:
-        Unit normals [v 3], how many were finite but not of unit length (by more than 1 %), and how many were unusable
-        (zero, NaN or infinite) at a vertex that a triangle uses.
+        Unit normals [v 3], and how many were unusable (zero, NaN or infinite) at a vertex that a triangle uses.
     """
     finite = np.asarray(np.isfinite(normals).all(axis=1))
     lengths = np.linalg.norm(np.where(finite[:, None], normals, 0.0), axis=1)
@@ -133,8 +132,7 @@ def repaired_normals(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarra
         sums = np.zeros((len(vertices), 3))
         np.add.at(sums, faces.reshape(-1), np.repeat(faced * areas[:, None], 3, axis=0))
         result = np.where(usable[:, None], result, normalised(sums))
-    scaled = used & usable & (np.abs(lengths - 1) > 0.01)
-    return result, int(scaled.sum()), int(broken.sum())
+    return result, int(broken.sum())
 
 
 def normalised(vectors: np.ndarray) -> np.ndarray:

@@ -12,6 +12,9 @@ from jaxrefl.scene.description import Part
 from jaxrefl.scene.errors import SceneError
 from jaxrefl.scene.normals import FLAT_COSINE, face_normals, smooth_normals
 
+LARGEST = 1e18
+"""Largest coordinate: beyond it squares of lengths leave the range of float32."""
+
 
 def checked_part(part: Part) -> Part:
     """A part whose arrays have the right shapes and whose indices point at its vertices.
@@ -22,14 +25,17 @@ def checked_part(part: Part) -> Part:
         The same part with positions in float64 and indices in int64.
     Raises:
         SceneError: If a shape is wrong, an index is out of range, or a position, texture coordinate or colour is NaN
-            or infinite; names the object and the array.
+            or infinite or a position beyond 1e18; names the object and the array.
     Edge cases: normals may be of any length, NaN and zero included; `merge` repairs them and counts.
     """
     v = len(part.vertices)
     try:
+        vertices = checked_array("vertices", part.vertices, (None, 3))
+        if (largest := np.abs(vertices).max(initial=0.0)) > LARGEST:
+            raise ValueError(f"vertices: expected coordinates up to {LARGEST:g}, got {largest:g}; change the units")
         return dataclasses.replace(
             part,
-            vertices=checked_array("vertices", part.vertices, (None, 3)),
+            vertices=vertices,
             faces=checked_indices("faces", part.faces, v),
             normals=_checked_attribute("normals", part.normals, (v, 3), finite=False),
             uv=_checked_attribute("uv", part.uv, (v, 2)),
@@ -41,7 +47,7 @@ def checked_part(part: Part) -> Part:
 
 
 def without_broken_triangles(parts: list[Part], notes: list[str]) -> list[Part]:
-    """Parts without the triangles that touch a NaN or infinite position; for data from files.
+    """Parts without the triangles that touch a NaN, infinite or huge position; for data from files.
 
     Args:
         parts: Parts whose indices are in range.
@@ -51,7 +57,7 @@ def without_broken_triangles(parts: list[Part], notes: list[str]) -> list[Part]:
     """
     result, vertices, triangles, names = [], 0, 0, []
     for part in parts:
-        finite = np.asarray(np.isfinite(part.vertices).all(axis=1))
+        finite = np.asarray((np.abs(part.vertices) <= LARGEST).all(axis=1))  # False for NaN
         if not finite.all():
             keep = np.asarray(finite[part.faces].all(axis=1))
             vertices, triangles = vertices + int((~finite).sum()), triangles + int((~keep).sum())
@@ -68,8 +74,8 @@ def without_broken_triangles(parts: list[Part], notes: list[str]) -> list[Part]:
         result.append(part)
     if vertices:
         notes.append(
-            f"{vertices} vertices are NaN or infinite; left out {triangles} triangles that use them, "
-            f"in {_listed(names)}"
+            f"{vertices} vertices are NaN, infinite or beyond {LARGEST:g}; "
+            f"left out {triangles} triangles that use them, in {_listed(names)}"
         )
     return result
 
@@ -112,6 +118,24 @@ def _compacted(part: Part, faces: np.ndarray) -> Part:
 def _listed(names: list[str]) -> str:
     names = list(dict.fromkeys(names))
     return f"{len(names)} object{'s' if len(names) > 1 else ''} ({', '.join(names[:3])}{', ...' * (len(names) > 3)})"
+
+
+def note_normals(parts: list[Part], notes: list[str]) -> None:
+    """Count the normals of a file that are not of unit length; `merge` brings them to it.
+
+    Args:
+        parts: Any parts.
+        notes: Receives the count if there are any.
+    """
+    count, names = 0, []
+    for part in parts:
+        if part.normals is not None:
+            lengths = np.linalg.norm(part.normals, axis=1)
+            off = int((np.isfinite(lengths) & (lengths > 0) & (np.abs(lengths - 1) > 0.01)).sum())
+            count += off
+            names += [part.name] * (off > 0)
+    if count:
+        notes.append(f"{count} normals are not of unit length; they are normalised, in {_listed(names)}")
 
 
 def with_smooth_normals(parts: list[Part], crease_angle: float, notes: list[str]) -> list[Part]:
