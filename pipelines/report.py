@@ -5,8 +5,6 @@
 The page needs nothing but a browser: no network, no file beside it; a content security policy in it forbids both.
 """
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from markupsafe import Markup
 
 from pipelines import report_plots as plots
 from pipelines import report_tables as tables
+from pipelines.outputs import write_atomic
 from pipelines.report_images import Pictures, embed_pictures
 from pipelines.report_results import FIGURES, MASKS, REFERENCE, Results, read_results
 
@@ -36,7 +35,7 @@ def write_report(folder: Path) -> Path:
     results = read_results(Path(folder))
     page = render_page(results, embed_pictures(results))
     path = results.folder / "report.html"
-    _write_atomically(path, page)
+    write_atomic(path, page.encode())
     return path
 
 
@@ -106,18 +105,3 @@ def _viewer_data(results: Results, pictures: Pictures, masks: list[str]) -> dict
         ],
         "reference": REFERENCE if results.reference else None,
     }
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    """Write under a temporary name in the same folder, then rename."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

@@ -1,8 +1,8 @@
 """Pictures of the report: PNG and EXR files of a results folder -> data URIs and error maps on one colour scale.
 
 Error maps show what `metrics.mae255` averages, pixel by pixel, from the linear EXR files at the job's exposure. Their
-scale is the same for all techniques and frames, so that colours can be compared; it ends at a round number above nearly
-all errors.
+scale is the same for all techniques and frames, so that colours can be compared. It ends at a round number above nearly
+all errors, and goes with the square root of the error, so that an accurate technique beside a rough one is not black.
 """
 
 import base64
@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from jaxrefl.metrics import error_map255
+from pipelines.outputs import read_exr
 from pipelines.report_results import REFERENCE, Results
 
 MAX_FRAMES = 48
@@ -57,7 +58,9 @@ class Pictures:
     error_scale: float | None
     """Value of the brightest colour, 0-255; None: there is no error map."""
     gradient: list[str]
-    """CSS colours from error 0 to `error_scale`."""
+    """CSS colours from error 0 to `error_scale`, evenly spaced on the scale."""
+    ticks: list[tuple[float, str]]
+    """(percent of the scale's length, error) of its labels."""
     notes: list[str]
     """What was left out or scaled, one sentence each."""
 
@@ -101,11 +104,14 @@ def embed_pictures(results: Results) -> Pictures:
     if width > MAX_WIDTH:
         notes.append(f"Pictures are scaled down from {width} to {MAX_WIDTH} pixels wide; figures are measured before.")
     if not lossless:
-        notes.append(f"Pictures and error maps are embedded as WebP of quality {WEBP_QUALITY}; exact ones lie beside.")
+        notes.append(
+            f"Pictures and error maps are embedded as WebP, quality {WEBP_QUALITY}; exact ones lie beside this page."
+        )
     if results.reference and no_error:
         shown = ", ".join(no_error[:3]) + (", …" if len(no_error) > 3 else "")
         notes.append(f"{len(no_error)} error maps are missing, for want of an EXR file: {shown}.")
-    return Pictures(frames, sources, width, height, scale, _gradient() if scale else [], notes)
+    gradient, ticks = (_gradient(), scale_ticks(scale)) if scale else ([], [])
+    return Pictures(frames, sources, width, height, scale, gradient, ticks, notes)
 
 
 def thinned(frames: tuple[int, ...]) -> list[int]:
@@ -114,44 +120,49 @@ def thinned(frames: tuple[int, ...]) -> list[int]:
 
 
 def error_scale(errors: list[np.ndarray]) -> float | None:
-    """A round number that at most 0.5 % of the errors exceed, in [0.1, 255].
+    """A round number that at most 0.5 % of the errors exceed, in [0.1, 200].
 
     Args:
         errors: Error maps on the 0-255 scale.
     Returns:
-        1, 2 or 5 times a power of ten, at most 255; None without any map.
+        1, 2 or 5 times a power of ten, at most 200; None without any map.
     """
     if not errors:
         return None
     top = max(float(np.percentile(error, SCALE_PERCENTILE)) for error in errors)
-    steps = [m * 10.0**e for e in range(-1, 3) for m in (1, 2, 5)]
-    return min((step for step in steps if top <= step < 255), default=255.0)
+    steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+    return next((step for step in steps if top <= step), steps[-1])
 
 
-def read_exr(path: Path) -> np.ndarray:
-    """Linear RGB of a plain EXR file.
+def scale_ticks(scale: float) -> list[tuple[float, str]]:
+    """Labels of the error scale.
 
     Args:
-        path: File with channels R, G and B.
+        scale: Error at the end of the scale.
     Returns:
-        [h w 3] float32.
-    Raises:
-        ValueError: If the file cannot be read or has no RGB channels.
+        (percent of the scale's length, error).
     """
-    import OpenEXR
+    shares = (0.0, 0.01, 0.1, 0.5, 1.0)
+    return [(100 * math.sqrt(share), f"{'≥ ' if share == 1 else ''}{scale * share:g}") for share in shares]
 
+
+def _radiance(path: Path) -> np.ndarray:
+    """[h w 3] float32 linear RGB of a plain EXR file."""
     try:
-        with OpenEXR.File(str(path)) as file:
-            channels = file.channels()
-            pixels = channels["RGB"].pixels if "RGB" in channels else channels["RGBA"].pixels[..., :3]
-            return np.asarray(pixels, np.float32)
-    except (RuntimeError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: not an EXR picture with channels R, G, B: {error}") from error
+        channels = read_exr(path)
+        return np.stack([channels[name] for name in "RGB"], -1)
+    except OSError as error:
+        raise ValueError(str(error)) from error
+    except KeyError as error:
+        raise ValueError(f"{path}: expected channels R, G and B, the file has none named {error}") from error
 
 
 def _exposure(results: Results) -> float:
     """Stops from the job's [outputs]."""
-    value = results.job.get("outputs", {}).get("exposure", 0.0)
+    outputs = results.job.get("outputs", {})
+    if not isinstance(outputs, dict):
+        raise ValueError(f"{results.folder / 'job.toml'}: outputs: expected a table, got {outputs!r}")
+    value = outputs.get("exposure", 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{results.folder / 'job.toml'}: outputs.exposure: expected a number of stops, got {value!r}")
     return float(value)
@@ -171,7 +182,7 @@ def _picture(results: Results, name: str, frame: int, exposure: float) -> Image.
 
         from jaxrefl.composite import tone_map
 
-        coded = tone_map(jnp.asarray(read_exr(exr)), exposure=exposure)
+        coded = tone_map(jnp.asarray(_radiance(exr)), exposure=exposure)
         return Image.fromarray(np.asarray(np.rint(255 * np.asarray(coded)), np.uint8))
     return None
 
@@ -192,7 +203,7 @@ def _error_map(results: Results, name: str, frame: int, exposure: float) -> np.n
     if not (exr.is_file() and reference.is_file()):
         return None
     try:
-        return error_map255(read_exr(exr), read_exr(reference), exposure=exposure)
+        return error_map255(_radiance(exr), _radiance(reference), exposure=exposure)
     except ValueError as error:
         raise ValueError(f"{exr}, against {reference}: {error}") from error
 
@@ -212,7 +223,7 @@ def _coloured(error: np.ndarray, scale: float) -> Image.Image:
     if image.width > MAX_WIDTH:
         height = max(1, round(image.height * MAX_WIDTH / image.width))
         image = image.resize((MAX_WIDTH, height), Image.Resampling.BOX)
-    rgba = matplotlib.colormaps[COLOUR_MAP](np.clip(np.asarray(image) / scale, 0, 1), bytes=True)
+    rgba = matplotlib.colormaps[COLOUR_MAP](np.sqrt(np.clip(np.asarray(image) / scale, 0, 1)), bytes=True)
     return Image.fromarray(np.ascontiguousarray(rgba[..., :3]))
 
 

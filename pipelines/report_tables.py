@@ -165,19 +165,20 @@ def count_table(results: Results) -> list[tuple[str, list[tuple[str, str]]]]:
     return table
 
 
-def stamp_table(results: Results) -> list[tuple[str, str]]:
+def stamp_table(results: Results) -> list[tuple[str, list[tuple[str, str]]]]:
     """What was run: every entry of the rows' stamps, with all values where rows differ.
 
     Args:
         results: Checked results.
     Returns:
-        (dotted name, text) in order of first appearance.
+        (group, [(name, text)]): one group per table of the stamp, and first, without a name, what stands alone.
     """
-    entries: dict[str, dict[str, None]] = {}
+    groups: dict[str, dict[str, dict[str, None]]] = {"": {}}
     for row in results.rows:
         for name, value in flatten(row.stamp):
-            entries.setdefault(name, {})[str(value)] = None
-    return [(name, "; ".join(values)) for name, values in entries.items()]
+            group, _, rest = name.rpartition(".")
+            groups.setdefault(group, {}).setdefault(rest, {})[str(value)] = None
+    return [(group, [(n, "; ".join(v)) for n, v in entries.items()]) for group, entries in groups.items() if entries]
 
 
 def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

@@ -29,7 +29,7 @@ def write_results(
     *,
     frames: int = 4,
     size: tuple[int, int] = (64, 36),
-    scene: str = "mirror <box> & \"glass\"",
+    scene: str = 'mirror <box> & "glass"',
     techniques: tuple[str, ...] = ("raytrace", "envmap"),
     reference: bool = True,
     exposure: float = 0.0,

@@ -4,6 +4,7 @@
   const find = (id) => document.getElementById(id);
   const stage = find("stage"), handle = find("handle"), viewer = find("viewer");
   const sides = ["left", "right"];
+  const pair = data.sources.length > 1;
   const last = data.frames.length - 1;
   const referenceIndex = data.sources.findIndex((source) => source.name === data.reference);
 
@@ -14,7 +15,7 @@
     show: "pictures",
     mask: document.querySelector("input[name=mask]:checked")?.value ?? Object.keys(data.sources[0].captions)[0],
     wipe: 50,
-    solo: null, // "left" or "right": that picture alone
+    solo: pair ? null : "left", // "left" or "right": that picture alone
     zoom: 1, x: 0, y: 0, // the stage's top left corner in the zoomed picture, as shares of the stage
   };
 
@@ -40,7 +41,7 @@
       find(`${side}-tag`).textContent = what;
       const caption = source.captions[state.mask]?.[state.index];
       find(`${side}-caption`).textContent = caption ? `${source.name}: ${caption}` : "";
-      document.querySelector(`input[name=${side}][value="${state[side]}"]`).checked = true;
+      if (pair) document.querySelector(`input[name=${side}][value="${state[side]}"]`).checked = true;
     }
     if (state.left === state.right) find("right-caption").textContent = "";
     const scale = find("scale");
@@ -69,9 +70,12 @@
     handle.setAttribute("aria-valuenow", Math.round(wipe));
     handle.setAttribute("aria-valuetext", `${Math.round(wipe)} % ${data.sources[state.left].name}`);
     if (state.solo) stage.dataset.solo = state.solo; else delete stage.dataset.solo;
-    const toggle = find("toggle");
-    toggle.setAttribute("aria-pressed", String(state.solo !== null));
-    toggle.textContent = state.solo ? `Toggle: ${data.sources[state[state.solo]].name}` : "Toggle";
+    if (pair) {
+      const toggle = find("toggle");
+      toggle.setAttribute("aria-pressed", String(state.solo !== null));
+      toggle.textContent = state.solo ? `Toggle: ${data.sources[state[state.solo]].name}` : "Toggle";
+    }
+    stage.classList.toggle("single", !pair);
     const transform = `translate(${-100 * state.x}%, ${-100 * state.y}%) scale(${state.zoom})`;
     for (const side of sides) find(`${side}-picture`).style.transform = transform;
     stage.classList.toggle("zoomed", state.zoom > 1);
@@ -112,11 +116,13 @@
     setFrame(data.frames.reduce((best, _, i) => (distance(i) < distance(best) ? i : best), 0));
   }
   function setWipe(percent) {
+    if (!pair) return;
     state.wipe = clamp(percent, 0, 100);
     state.solo = null;
     drawStage();
   }
   function toggle() {
+    if (!pair) return;
     state.solo = state.solo === "left" ? "right" : "left";
     drawStage();
   }
@@ -189,12 +195,12 @@
     action();
   });
 
-  find("toggle").addEventListener("click", toggle);
+  find("toggle")?.addEventListener("click", toggle);
   find("zoom-in").addEventListener("click", () => zoomBy(1.5));
   find("zoom-out").addEventListener("click", () => zoomBy(1 / 1.5));
   find("zoom-reset").addEventListener("click", resetZoom);
   for (const side of sides) {
-    find(`${side}-choice`).addEventListener("change", (event) => {
+    find(`${side}-choice`)?.addEventListener("change", (event) => {
       state[side] = +event.target.value;
       drawPictures();
       drawStage();
