@@ -71,7 +71,8 @@ def orbit(
         frames: Number of cameras, >= 1.
         eye: [3] Camera position of frame 0.
         target: [3] Point that stays in the middle of the image.
-        step: Largest turn from frame to frame, degrees; with 360 / `step` frames or more the circle closes.
+        step: Largest turn from frame to frame, degrees, positive from +Z to +X; with 360 / `step` frames or more the
+            circle closes.
         fov_y: Vertical field of view, degrees.
         size: (width, height) in pixels.
     Returns:
@@ -83,7 +84,7 @@ def orbit(
     away = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
     distance, heading = np.linalg.norm(away), math.atan2(away[0], away[2])
     elevation = math.asin(away[1] / distance)
-    turns = heading + math.radians(min(step, 360 / frames)) * np.arange(frames)
+    turns = heading + math.radians(math.copysign(min(abs(step), 360 / frames), step)) * np.arange(frames)
     eyes = [np.asarray(target) + distance * _direction(turn, elevation) for turn in turns]
     return tuple(look_at(position, target, fov_y=float(fov_y), size=size) for position in eyes)
 

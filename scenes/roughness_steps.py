@@ -64,12 +64,12 @@ def build(*, triangles: int = 20_000, strips: int = 6, alpha: Real = 0.5, metall
                 ring.part(f"ring {i}", yellow),
             ]
         side = half + 6  # so that wide images see no end
-        lamp = rectangle((half + 6, 2, 17), (-2 * half - 12, 0, 0), (0, 10, 2))
+        lamp = rectangle((half + 14, 1, 18), (-2 * half - 28, 0, 0), (0, 16, 5))
         apron = rectangle((half, 0, FRONT), (6, 0, 0), (0, 0, BACK - FRONT))
         parts += [
             rectangle((-side, 0, BACK), (2 * side, 0, 0), (0, 6, 0), tiles=(side / STRIP / 2, 1)).part("wall", wall),
             merge(apron, apron.moved(to=(-2 * half - 6, 0, 0))).part("apron", matte("apron", (0.08, 0.08, 0.085))),
-            lamp.part("main light", emitter("main light", (6.0, 5.8, 5.4))),
+            lamp.part("main light", emitter("main light", (2.7, 2.6, 2.4))),
         ]
         return parts
 

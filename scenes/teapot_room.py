@@ -120,4 +120,4 @@ def path(frames: int, *, size: Size = (640, 480)) -> tuple[Camera, ...]:
     Raises:
         ValueError: If `frames` or `size` is invalid.
     """
-    return orbit(frames, eye=(0.8, 3.6, 9.2), target=(0.5, 1.3, 0), step=3, fov_y=45, size=size)
+    return orbit(frames, eye=(0.8, 3.6, 9.2), target=(0.5, 1.3, 0), step=-3, fov_y=45, size=size)
