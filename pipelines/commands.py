@@ -1,14 +1,14 @@
 """What the commands do, once their words are understood."""
 
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from pipelines.flags import CompareBase, RenderBase, SceneFlags, job_of, parse, scene_of
+from pipelines.flags import CompareBase, RenderBase, SceneFlags
+from pipelines.flags_to_job import job_of, parse, scene_of
 from pipelines.toml_tables import JobError
 
 if TYPE_CHECKING:
@@ -109,17 +109,16 @@ def info(argv: Sequence[str]) -> int:
         Exit code.
     """
     from jaxrefl.scene import format_inventory, inventory
-    from pipelines.job import Job, resolve
+    from pipelines.job import Job
+    from pipelines.resolve import resolve
     from pipelines.stage import load_scene
     from pipelines.switches import format_switches
 
     flags: Any = tyro.cli(SceneFlags, args=list(argv), prog="jaxrefl info", description=INFO_HELP)
-    scene, notes = load_scene(resolve(Job(scene_of(flags, None))).scene)
+    scene, _ = load_scene(resolve(Job(scene_of(flags, None))).scene)
     print(format_inventory(inventory(scene)))
     print()
     print(format_switches(scene))
-    for note in notes:
-        print(f"note: {note}", file=sys.stderr)
     return 0
 
 

@@ -85,15 +85,16 @@ def _clock(seconds: float) -> str:
 
 
 @contextmanager
-def shown(total: int, *, stream: TextIO = sys.stderr) -> Iterator[Progress]:
+def shown(total: int, *, stream: TextIO | None = None) -> Iterator[Progress]:
     """Progress on a terminal or in a log.
 
     Args:
         total: How many frames there are to do.
-        stream: Where to write; a bar if it is a terminal, lines if not.
+        stream: Where to write, None: standard error; a bar if it is a terminal, lines if not.
     Yields:
         The progress to report to.
     """
+    stream = stream or sys.stderr
     if not stream.isatty():
         yield _Lines(total, stream)
         return

@@ -13,9 +13,10 @@ from typing import Any
 from jaxrefl.techniques import TECHNIQUES, Technique
 from pipelines.folder import claim, collect, locked, store
 from pipelines.frames import FrameFiles, Unit, render_unit
-from pipelines.job import Job, resolve
+from pipelines.job import Job
 from pipelines.plan import plan, references_of
 from pipelines.progress import Silent, shown
+from pipelines.resolve import resolve
 from pipelines.stage import Stage
 
 

@@ -27,15 +27,12 @@ def format_switches(scene: Scene) -> str:
     Args:
         scene: Any scene.
     Returns:
-        One line per feature that is on, with its reason, and one line that lists those that are off.
+        What each feature that is on adds to a frame, with its reason; a feature that is off adds nothing.
     """
     reasons = feature_reasons(scene)
-    names = [field.name for field in dataclasses.fields(Features)]
     lines = ["stages switched on"]
-    for name in names:
+    for name in (field.name for field in dataclasses.fields(Features)):
         if getattr(scene.features, name):
             lines.append(f"  {name}: {STAGES.get(name, name)}")
             lines.append(f"      because of {reasons.get(name, 'the scene')}")
-    off = [name for name in names if not getattr(scene.features, name)]
-    lines.append(f"switched off, at no cost: {', '.join(off) if off else 'nothing'}")
     return "\n".join(lines)

@@ -13,7 +13,8 @@ import pytest
 
 from jaxrefl.techniques import TECHNIQUES
 from pipelines import cli
-from pipelines.flags import CompareBase, RenderBase, job_of, key_values, knob_groups, parse
+from pipelines.flags import CompareBase, RenderBase, knob_groups
+from pipelines.flags_to_job import job_of, key_values, parse
 from pipelines.folder import locked
 from pipelines.job import Job, Keyframe, Reference, read_job
 from pipelines.toml_tables import JobError
@@ -117,7 +118,7 @@ def test_scenes_lists_what_is_built_in(capsys):
 def test_info_tells_what_is_in_a_scene_and_why(capsys):
     assert cli.main(["info", "cornell", "--parameters", "triangles=1000"]) == 0
     text = capsys.readouterr().out
-    assert "stages switched on" in text and "because of" in text and "switched off, at no cost: " in text
+    assert "stages switched on" in text and "emissive: shadow rays to area lights" in text and "because of" in text
 
 
 def test_key_values_are_read_as_toml():

@@ -14,8 +14,9 @@ from fake_techniques import FAKES
 
 from pipelines.folder import FolderError, claim, collect, csv_text, frame_path, is_done, locked, read_reference, store
 from pipelines.frames import FrameFiles
-from pipelines.job import Job, Outputs, Reference, SceneSource, resolve
+from pipelines.job import Job, Outputs, Reference, SceneSource
 from pipelines.outputs import exr_bytes
+from pipelines.resolve import resolve
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 from fake_techniques import FAKES
 
-from pipelines.job import CameraPath, Job, Keyframe, Reference, SceneSource, job_text, parse_job, read_job, resolve
+from pipelines.job import CameraPath, Job, Keyframe, Reference, SceneSource, job_text, parse_job, read_job
+from pipelines.resolve import resolve
 from pipelines.toml_tables import JobError
 
 FULL = """

@@ -20,9 +20,10 @@ from jaxrefl.metrics import compare
 from pipelines import outputs
 from pipelines.folder import FolderError, locked
 from pipelines.frames import Unit
-from pipelines.job import Job, Outputs, Reference, SceneSource, resolve
+from pipelines.job import Job, Outputs, Reference, SceneSource
 from pipelines.outputs import read_exr
 from pipelines.plan import plan
+from pipelines.resolve import resolve
 from pipelines.run import run_job
 from pipelines.toml_tables import JobError
 
