@@ -1,3 +1,4 @@
+from .blocks import block_size as block_size
 from .blocks import blocks_of as blocks_of
 from .blocks import put_block as put_block
 from .blocks import take_block as take_block

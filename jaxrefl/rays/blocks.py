@@ -16,6 +16,18 @@ from jaxtyping import Array, Bool, Int, PyTree
 T = TypeVar("T", bound=PyTree)
 
 
+def block_size(count: int, most: int) -> int:
+    """A block that fits a small image without much padding; it depends on shapes alone, so it compiles once.
+
+    Args:
+        count: How many elements there are at the most.
+        most: Largest block wanted.
+    Returns:
+        The smallest power of two that holds `count`, or `most`.
+    """
+    return min(most, 1 << max(count - 1, 0).bit_length())
+
+
 def blocks_of(mask: Bool[Array, "*b"], *, size: int) -> Iterator[Int[Array, "n"]]:
     """Flat indices of the True elements, in blocks.
 

@@ -23,6 +23,9 @@ from jaxrefl.techniques.envmap.lookup import read_lobe, read_stack
 from jaxrefl.techniques.envmap.prefilter import level_alphas, prefilter
 from jaxrefl.techniques.envmap.types import Info, Options, Params, State
 
+_CONFIDENCE_ALPHA = 0.5
+"""Width of the lobe over which nearness is averaged: what is near beside the direction read may belong there."""
+
 
 def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State:  # noqa: B008  frozen
     """Capture and prefilter the maps.
@@ -52,11 +55,13 @@ def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State
         key = jax.random.fold_in(jax.random.key(0), number)
         captured.append(capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=light))
     sharp = jnp.stack([radiance for radiance, _ in captured])
+    nearness = jnp.stack([jnp.broadcast_to(near[..., None], (*near.shape, 3)) for _, near in captured])
+    around = prefilter(nearness, jnp.full(1, _CONFIDENCE_ALPHA), options.rough_height)[:, 0, ..., 0]
     alpha = level_alphas(options.levels)
     return State(
         centre=jnp.asarray(np.stack([centre for centre, _ in sites]), jnp.float32),
         sharp=sharp,
-        nearness=jnp.stack([nearness for _, nearness in captured]),
+        nearness=around,
         rough=prefilter(sharp, alpha, options.rough_height),
         alpha=alpha,
         map_of_object=jnp.asarray(map_of_object),

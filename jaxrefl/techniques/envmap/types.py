@@ -36,8 +36,8 @@ class State(eqx.Module):
     """Where each map was captured, world space."""
     sharp: Float[Array, "r h w 3"]
     """Captured radiance."""
-    nearness: Float[Array, "r h w"]
-    """One over the distance to what was captured, per world unit; 0 for the environment."""
+    nearness: Float[Array, "r hr wr"]
+    """One over the distance to what was captured, averaged over a wide lobe, per world unit; 0 for the environment."""
     rough: Float[Array, "r l hr wr 3"]
     """Radiance convolved with GGX lobes of rising alpha."""
     alpha: Float[Array, "l"]

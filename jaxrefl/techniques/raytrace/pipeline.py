@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxrefl._types import Frame, Reflection, Scene, Tracer
 from jaxrefl.radiance import DirectOptions, IncomingOptions, incoming
-from jaxrefl.rays import blocks_of, put_block, take_block
+from jaxrefl.rays import block_size, blocks_of, put_block, take_block
 from jaxrefl.surface import reflective
 from jaxrefl.techniques._shape import no_reflection
 from jaxrefl.techniques.raytrace.trace import (
@@ -60,7 +60,7 @@ def step(
     counts = {}
     classes = {"mirror": (wanted & smooth, 1), "glossy": (wanted & ~smooth, options.samples)}
     for key, (name, (mask, samples)) in zip(jax.random.split(frame.key), classes.items(), strict=True):
-        for number, index in enumerate(blocks_of(mask, size=options.block)):
+        for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
             block = _trace_block(frame, index, jax.random.fold_in(key, number), samples, options)
             result = put_block(index, result, block)
         counts[f"{name}_pixels"] = int(mask.sum())
@@ -84,5 +84,5 @@ def _trace_block(frame: Frame, index: jax.Array, key: jax.Array, samples: int, o
         if frame.scene.features.refractive:
             rays, active = refracted_rays(frame.scene, points, sums.traced, key_refract, sample)
             light_in = incoming(frame.scene, frame.tracer, rays, active, key_through, options=follow)
-            sums = add_transmitted(sums, samples, light_in)
+            sums = add_transmitted(sums, jnp.asarray(1 / samples, jnp.float32), light_in)
     return reflection_of(sums)

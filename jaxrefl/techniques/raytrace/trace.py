@@ -113,18 +113,18 @@ def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sum
 
 
 @jax.jit
-def add_transmitted(sums: Sums, samples: int, light: Incoming) -> Sums:
+def add_transmitted(sums: Sums, share: Float[Array, ""], light: Incoming) -> Sums:
     """Add one refracted sample per point.
 
     Args:
         sums: Sums so far, of a scene with refractive materials.
-        samples: How many samples there will be.
+        share: One over the number of samples there will be.
         light: What arrived.
     Returns:
         The new sums.
     """
     before = jnp.zeros_like(light.radiance) if sums.transmitted is None else sums.transmitted
-    return dataclasses.replace(sums, transmitted=before + light.radiance / samples)
+    return dataclasses.replace(sums, transmitted=before + light.radiance * share)
 
 
 @jax.jit
