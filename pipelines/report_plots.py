@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from pipelines.report_results import FIGURES, Results
-from pipelines.report_tables import LABELS, decimals, mean, summarise, text
+from pipelines.report_tables import HIGHER_IS_BETTER, LABELS, decimals, mean, summarise, text
 
 WIDTH, HEIGHT = 420.0, 230.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 408.0, 12.0, 198.0
@@ -147,13 +147,13 @@ def stage_bars(results: Results) -> tuple[list[Bar], list[str]]:
     Args:
         results: Checked results.
     Returns:
-        One bar per technique that reports stages, and the names of all stages in the order of their colours.
+        One bar per technique that reports stages, one for the stages that all techniques share, and the names of all
+        stages in the order of their colours.
     """
     means: dict[str, dict[str, float]] = {}
     for technique in dict.fromkeys(row.technique for row in results.rows):
         rows = list(results.of(technique, results.masks[0]).values())
-        names = dict.fromkeys(name for row in rows for name in row.stages)
-        stages = {name: mean([row.stages.get(name, 0.0) for row in rows]) for name in names}
+        stages = _mean_stages([row.stages for row in rows])
         seconds = [s for row in rows if (s := row.numbers["seconds"]) is not None]
         rest = (mean(seconds) if seconds else 0.0) - sum(stages.values())
         # What is left of the frame's time gets a segment of its own once it can be seen.
@@ -161,6 +161,9 @@ def stage_bars(results: Results) -> tuple[list[Bar], list[str]]:
             stages["not in a stage"] = rest
         if sum(stages.values()) > 0:
             means[technique] = stages
+    shared = _mean_stages([row.shared for row in results.rows if row.mask == results.masks[0]])
+    if sum(shared.values()) > 0:
+        means["shared by all"] = shared
     names = list(dict.fromkeys(name for stages in means.values() for name in stages))
     longest = max((sum(stages.values()) for stages in means.values()), default=1.0)
     bars = []
@@ -173,20 +176,26 @@ def stage_bars(results: Results) -> tuple[list[Bar], list[str]]:
     return bars, names
 
 
-def axis(values: Iterable[float], *, force_log: bool = False) -> Axis:
+def _mean_stages(tables: list[dict[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(name for table in tables for name in table)
+    return {name: mean([table.get(name, 0.0) for table in tables]) for name in names}
+
+
+def axis(values: Iterable[float], *, force_log: bool = False, from_zero: bool = True) -> Axis:
     """An axis with round ends and at most seven ticks that holds all values.
 
     Args:
         values: At least one finite number.
         force_log: Logarithmic whenever all values are positive.
+        from_zero: A linear axis starts at 0, so that lengths compare, unless a value is negative.
     Returns:
-        A linear axis (from 0 if no value is negative and 0 is near), or a logarithmic one for a wide range.
+        A linear axis, or a logarithmic one for a wide range.
     """
     values = list(values)
     low, high = min(values), max(values)
     if low > 0 and (force_log or high / low > LOG_RATIO):
         return _log_axis(low, high)
-    if 0 <= low < 0.6 * high or low == high == 0:
+    if from_zero and low > 0:
         low = 0.0
     if low == high:
         low, high = low - 0.5 * abs(low or 1), high + 0.5 * abs(high or 1)
@@ -235,7 +244,7 @@ def _plot_over_frames(results: Results, mask: str, name: str) -> Plot | None:
     if not everything:
         return None
     first, last = results.frames[0], results.frames[-1]
-    y_axis = axis(everything)
+    y_axis = axis(everything, from_zero=name not in HIGHER_IS_BETTER)
     digits = decimals([min((abs(v) for v in everything if v), default=1.0)])
     series = []
     for index, technique in enumerate(results.techniques):

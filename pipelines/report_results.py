@@ -19,7 +19,7 @@ REFERENCE = "reference"
 MASKS = {"reflective": "Reflective pixels", "frame": "Whole frame"}
 """Masks of the rows and what the report calls them, the one that matters first."""
 
-NUMBERS = (*FIGURES, "seconds", "compile_seconds", "rays", "peak_mib", "reflective_share")
+NUMBERS = (*FIGURES, "seconds", "init_seconds", "compile_seconds", "rays", "peak_mib", "reflective_share")
 """Columns of a row that hold a number or null."""
 
 
@@ -33,7 +33,9 @@ class Row:
     numbers: dict[str, float | None]
     """One value per name in `NUMBERS`; None where it is not defined or was not measured."""
     stages: dict[str, float]
-    """Seconds per stage."""
+    """Seconds per stage of the technique."""
+    shared: dict[str, float]
+    """Seconds per stage that all techniques share, such as the surface and diffuse light."""
     info: dict[str, Any]
     """The technique's own counts."""
     stamp: dict[str, Any]
@@ -161,12 +163,16 @@ def _row(entry: Any, where: str) -> Row:
     if entry["frame"] < 0 or Path(entry["technique"]).name != entry["technique"]:
         raise ValueError(f"{where}: expected a frame from 0 and a plain technique name, got {entry['technique']!r}")
     numbers = {name: _number(entry.get(name), f"{where}: {name}") for name in NUMBERS}
-    tables = {name: entry.get(name) or {} for name in ("stages", "info", "stamp")}
+    tables = {name: entry.get(name) or {} for name in ("stages", "shared", "info", "stamp")}
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise ValueError(f"{where}: {name}: expected an object, got {table!r}")
-    stages = {name: _number(value, f"{where}: stages.{name}") or 0.0 for name, value in tables["stages"].items()}
-    return Row(entry["technique"], entry["frame"], entry["mask"], numbers, stages, tables["info"], tables["stamp"])
+    stages, shared = (
+        {name: _number(value, f"{where}: {table}.{name}") or 0.0 for name, value in tables[table].items()}
+        for table in ("stages", "shared")
+    )
+    identity = entry["technique"], entry["frame"], entry["mask"]
+    return Row(*identity, numbers, stages, shared, tables["info"], tables["stamp"])
 
 
 def _number(value: Any, where: str) -> float | None:

@@ -17,6 +17,7 @@ LABELS = {
     "psnr": "PSNR, dB",
     "dssim": "DSSIM",
     "seconds": "Seconds per frame",
+    "init_seconds": "Precomputation, s",
     "compile_seconds": "Compilation, s",
     "rays": "Rays per frame",
     "peak_mib": "Peak memory, MiB",
@@ -112,37 +113,34 @@ def summarise(results: Results, technique: str, mask: str, name: str) -> Summary
     return Summary(sum(values.values()) / len(values), values[worst], worst, len(rows) - len(values))
 
 
-COSTS = ("seconds", "compile_seconds", "rays", "peak_mib", "reflective_share")
+COSTS = ("seconds", "init_seconds", "compile_seconds", "rays", "peak_mib", "reflective_share")
 
 
 def cost_table(results: Results) -> list[tuple[str, list[str]]]:
-    """Costs per technique, means over the frames; compilation summed and memory at its peak.
+    """Costs per technique, means over the frames; compilation summed, precomputation and memory at their largest.
 
     Args:
         results: Checked results.
     Returns:
         (technique or "reference", one text per name in `COSTS`).
     """
-    names = [t for t in dict.fromkeys(row.technique for row in results.rows)]
-    table: dict[str, list[float]] = {}
-    for technique in names:
+    combine = {"init_seconds": max, "compile_seconds": sum, "peak_mib": max}
+    table: dict[str, dict[str, float]] = {}
+    for technique in dict.fromkeys(row.technique for row in results.rows):
         rows = list(results.of(technique, results.masks[0]).values())
-        column = {name: [v for row in rows if (v := row.numbers[name]) is not None] for name in COSTS}
-        combine = {"compile_seconds": sum, "peak_mib": max}
-        table[technique] = [math.nan if not column[name] else combine.get(name, mean)(column[name]) for name in COSTS]
-    return [
-        (
-            technique,
-            [
-                text(values[0], decimals([v[0] for v in table.values()])),
-                text(values[1], 2),
-                text(values[2], 0),
-                text(values[3], 0),
-                "–" if math.isnan(values[4]) else f"{100 * values[4]:.1f} %",
-            ],
-        )
-        for technique, values in table.items()
-    ]
+        table[technique] = {}
+        for name in COSTS:
+            values = [v for row in rows if (v := row.numbers[name]) is not None]
+            table[technique][name] = combine.get(name, mean)(values) if values else math.nan
+    digits = {"init_seconds": 2, "compile_seconds": 2, "rays": 0, "peak_mib": 0}
+    digits["seconds"] = decimals([costs["seconds"] for costs in table.values()])
+
+    def shown(name: str, value: float) -> str:
+        if name == "reflective_share":
+            return "–" if math.isnan(value) else f"{100 * value:.1f} %"
+        return text(value, digits[name])
+
+    return [(technique, [shown(name, value) for name, value in costs.items()]) for technique, costs in table.items()]
 
 
 def count_table(results: Results) -> list[tuple[str, list[tuple[str, str]]]]:

@@ -67,6 +67,8 @@ def write_results(
                         **{k: figures.get(k) for k in ("mae255", "rmse", "relmse", "psnr", "dssim")},
                         "seconds": seconds,
                         "compile_seconds": 2.5 if frame == 0 else 0.0,
+                        "init_seconds": 0.5 * index,
+                        "shared": {"diffuse": 0.03, "composite": 0.01},
                         "stages": {"surface": 0.2 * seconds, "rays": 0.5 * seconds, "shade": 0.28 * seconds},
                         "rays": width * height * (2 - index),
                         "peak_mib": 310.0 + index,

@@ -325,3 +325,20 @@ def test_the_error_scale_ends_at_a_round_number(worst, expected):
 def test_numbers_as_text():
     assert decimals([0.00123, 7.0]) == 5 and decimals([1234.5]) == 0 and decimals([0.0]) == 0 and decimals([1e-30]) == 6
     assert text(1234567.0, 0) == "1\u202f234\u202f567" and text(float("nan"), 2) == "–" and text(float("inf"), 1) == "∞"
+
+
+def test_costs_and_stage_bars_are_means_of_the_rows(folder, page):
+    results = read_results(folder)
+    rows = {t: list(results.of(t, "frame").values()) for t in results.techniques}
+    plain = re.sub(r"\s+", " ", " ".join(outline(page).text))
+    seconds = {t: float(np.mean([row.numbers["seconds"] for row in rows[t]])) for t in rows}
+    digits = decimals(seconds.values())
+    assert f"envmap {seconds['envmap']:.{digits}f} 0.50 2.50 2 304 311" in plain
+    bars, stages = report_plots.stage_bars(results)
+    assert [bar.technique for bar in bars] == ["raytrace", "envmap", "shared by all"]
+    assert stages == ["surface", "rays", "shade", "not in a stage", "diffuse", "composite"]
+    for bar in bars:
+        assert sum(share for _, share, _, _ in bar.parts) == pytest.approx(100)
+    shares = {stage: share for stage, share, _, _ in bars[0].parts}
+    assert shares == pytest.approx({"surface": 20, "rays": 50, "shade": 28, "not in a stage": 2})
+    assert bars[0].width == 100 and bars[1].width == pytest.approx(100 * seconds["envmap"] / seconds["raytrace"])
