@@ -15,7 +15,12 @@ from jaxrefl.scene.description import Description, Part, constant_sky, glossy
 from scenes._check import whole
 from scenes.orbits import fitted_fov, loop
 from scenes.profiles import arc
-from scenes.shapes import lathe from scenes.tessellation import segments, tessellate  STRESSES = "energy: in a constant world every pixel should be 1, for metals and dielectrics of alpha 0 to 1"
+from scenes.shapes import lathe
+from scenes.tessellation import segments, tessellate
+
+STRESSES = "energy: in a constant world every pixel should be 1, for metals and dielectrics of alpha 0 to 1"
+
+
 def build(*, triangles: int = 20_000, columns: int = 6) -> Description:
     """The scene.
 

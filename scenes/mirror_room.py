@@ -14,9 +14,13 @@ from jaxrefl.scene.description import Description, Material, Part, glossy, matte
 from scenes._check import Real, in_range
 from scenes.orbits import loop
 from scenes.patterns import checker, planks
-from scenes.rooms import ceiling_light, room
 from scenes.profiles import arc, chain, line
-from scenes.shapes import Geometry, box, cylinder, lathe, merge, rectangle, sphere, sweep, torus from scenes.tessellation import segments, tessellate  STRESSES = "small objects that touch planar and curved mirrors: parallax that environment mapping gets wrong"
+from scenes.rooms import ceiling_light, room
+from scenes.shapes import Geometry, box, cylinder, lathe, merge, rectangle, sphere, sweep, torus
+from scenes.tessellation import segments, tessellate
+
+STRESSES = "small objects that touch planar and curved mirrors: parallax that environment mapping gets wrong"
+
 LOWER, UPPER = (-3.2, 0.0, -2.6), (3.2, 3.0, 3.4)
 TABLE = (0.1, 0.0, -0.35)
 

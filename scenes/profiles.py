@@ -1,6 +1,6 @@
 """Profiles for the lathe: straight lines and arcs in the half plane (r, y), each with its outward normals.
 
-numbers -> `Piece` (points, normals). Profiles run from the bottom to the top along the outside, which lies on their right.
+numbers -> `Piece` (points, normals). Profiles run from the bottom to the top; the outside lies on their right.
 """
 
 import math

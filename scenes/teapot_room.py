@@ -16,9 +16,15 @@ from jaxrefl.scene.description import Description, Material, Part, glass, glossy
 from scenes._check import Real, one_of, whole
 from scenes.orbits import orbit
 from scenes.patterns import checker, stripes
-from scenes.rooms import ceiling_light, room
 from scenes.profiles import arc, chain, line
-from scenes.shapes import Geometry, box, cylinder, lathe, merge, sweep from scenes.teapot import teapot as newell from scenes.tessellation import segments, tessellate  STRESSES = (     "curved mirrors or glass with surroundings at three distances: self-reflection, parallax, multiple refraction"
+from scenes.rooms import ceiling_light, room
+from scenes.shapes import Geometry, box, cylinder, lathe, merge, sweep
+from scenes.teapot import teapot as newell
+from scenes.tessellation import segments, tessellate
+
+STRESSES = (
+    "curved mirrors or glass with surroundings at three distances: self-reflection, parallax, multiple refraction"
+)
 
 RING = 11.0
 """Distance of the columns from the teapot."""

@@ -5,9 +5,12 @@ import pytest
 
 from scenes.orbits import loop, orbit
 from scenes.patterns import checker, planks, stripes
-from scenes.rooms import walls
 from scenes.profiles import arc, chain, line
-from scenes.shapes import Geometry, box, cylinder, lathe, merge, rectangle, sphere, sweep, torus from scenes.tessellation import segments, tessellate
+from scenes.rooms import walls
+from scenes.shapes import Geometry, box, cylinder, lathe, merge, rectangle, sphere, sweep, torus
+from scenes.tessellation import segments, tessellate
+
+
 def welded(shape) -> np.ndarray:
     """Faces [f 3] over vertices merged by float32 position."""
     positions = np.asarray(shape.vertices, np.float32) + np.float32(0)  # no negative zeros
