@@ -97,6 +97,17 @@ def test_tangents_only_where_a_normal_map_needs_them():
     np.testing.assert_allclose(np.linalg.norm(t[:, :3], axis=1), 1, rtol=1e-6)
 
 
+def test_a_flat_box_with_a_normal_map_gets_a_tangent_per_face():
+    box = trimesh.creation.box()
+    mapped = glossy("mapped", (1, 1, 1), alpha=0.1).replace(normal_texture=Image("bumps", checker()))
+    uv = np.random.default_rng(0).random((len(box.vertices), 2))
+    mesh = scene_of(Part("box", box.vertices, box.faces, mapped, uv=uv)).mesh
+    assert mesh.normals is None and mesh.tangents is not None
+    corners = np.asarray(mesh.tangents)[np.asarray(mesh.faces)]
+    np.testing.assert_allclose((corners[..., :3] * box.face_normals[:, None]).sum(-1), 0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(corners[..., :3], axis=-1), 1, rtol=1e-6)
+
+
 def test_one_image_used_as_colour_and_as_data_is_stored_once_per_coding():
     image = Image("shared", checker())
     material = Material("m", base_colour_texture=image, emission_texture=image, metallic_roughness_texture=image)

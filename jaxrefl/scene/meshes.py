@@ -76,15 +76,13 @@ def _prepared(part: Part, notes: list[str], smooth: bool, needs_tangents: bool) 
             f"object {part.name!r}: its material {part.material.name!r} is textured but it has no texture "
             "coordinates; the texture's corner (0, 0) is used everywhere"
         )
-    uv = part.uv
-    if not needs_tangents or uv is None:
+    if not needs_tangents or part.uv is None:
         return dataclasses.replace(part, tangents=None)
     if part.tangents is not None:
         return part
-    normals = part.normals if part.normals is not None else _unshared(part).normals
     if part.normals is None:
         part = _unshared(part)
-    assert normals is not None
+    normals, uv = np.asarray(part.normals), np.asarray(part.uv)
     faces, source, tangents = vertex_tangents(part.vertices, part.faces, normals, uv)
     return dataclasses.replace(gathered(part, faces, source), tangents=tangents)
 
