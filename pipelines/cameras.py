@@ -4,7 +4,7 @@
 - A camera that stands still (a scene file's, or the only one of a camera file) is turned into a short closed loop
   around it when several frames are asked for: frame 0 is the camera itself, the others turn about the point it looks
   at, by at most `swing` degrees. The loop shrinks where something stands in its way.
-- A scene without any camera gets one that looks at its bounds from the front, a little from above and from the right.
+- A scene without any camera gets one that shows its bounds (`framing`).
 """
 
 import math
@@ -15,18 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrefl._types import Camera, Rays, Scene, Tracer
-from jaxrefl.core.cameras import look_at, resize
+from jaxrefl.core.cameras import resize
 from pipelines.camera_files import camera_file_facts, read_cameras
+from pipelines.framing import framing_camera, seen_from_behind
 from pipelines.job import Job
 from pipelines.keyframes import keyframe_cameras
 from pipelines.toml_tables import JobError, suggestion
 from scenes import BUILT_IN
-
-DEFAULT_FOV_Y = 40.0
-"""Vertical field of view of the camera that is made up, degrees."""
-
-DEFAULT_VIEW = (0.4, 0.3, 1.0)
-"""Direction from the scene's centre to the camera that is made up."""
 
 _PROBES = 64
 _PIVOT = 0.1
@@ -53,7 +48,7 @@ def job_cameras(job: Job, scene: Scene, tracer: Tracer) -> tuple[tuple[Camera, .
     elif choice.file is None and choice.name is None and not choice.keyframes and job.scene.source in BUILT_IN:
         cameras = tuple(BUILT_IN[job.scene.source].path(frames, size=size))
     else:
-        still = _still_camera(job, scene, size, notes)
+        still = _still_camera(job, scene, tracer, notes)
         cameras, swing = loop_around(still, scene, tracer, frames=frames, swing=choice.swing)
         if frames > 1:
             notes.append(
@@ -63,8 +58,8 @@ def job_cameras(job: Job, scene: Scene, tracer: Tracer) -> tuple[tuple[Camera, .
     return cameras, notes
 
 
-def _still_camera(job: Job, scene: Scene, size: tuple[int, int], notes: list[str]) -> Camera:
-    choice = job.camera
+def _still_camera(job: Job, scene: Scene, tracer: Tracer, notes: list[str]) -> Camera:
+    choice, size = job.camera, job.size or (1, 1)
     if choice.file is not None:
         return read_cameras(Path(choice.file), frames=1, size=size, up=choice.up)[0]
     if choice.keyframes:
@@ -77,28 +72,8 @@ def _still_camera(job: Job, scene: Scene, size: tuple[int, int], notes: list[str
         return resize(scene.cameras[scene.names.cameras.index(choice.name)], size)
     if scene.cameras:
         return resize(scene.cameras[0], size)
-    notes.append(
-        "The scene has no camera; one looks at its bounds from the front, a little from above and from the right."
-    )
-    return framing_camera(scene, size)
-
-
-def framing_camera(scene: Scene, size: tuple[int, int]) -> Camera:
-    """Camera from which the whole bounding box is seen.
-
-    Args:
-        scene: Any scene.
-        size: Width and height in pixels.
-    Returns:
-        A camera that looks at the centre of the bounds along `-DEFAULT_VIEW`, as close as the bounding sphere allows.
-    """
-    lower, upper = (np.asarray(x, np.float64) for x in (scene.lower, scene.upper))
-    centre, radius = (lower + upper) / 2, float(np.linalg.norm(upper - lower)) / 2
-    half = math.radians(DEFAULT_FOV_Y) / 2
-    narrow = min(half, math.atan(math.tan(half) * size[0] / size[1]))
-    view = np.array(DEFAULT_VIEW) / np.linalg.norm(DEFAULT_VIEW)
-    distance = max(radius, 1e-6) / math.sin(narrow)
-    return look_at(centre + view * distance, centre, fov_y=DEFAULT_FOV_Y, size=size)
+    notes.append("The scene has no camera; one was made up that shows all of it.")
+    return framing_camera(scene, tracer, size)
 
 
 def loop_around(
@@ -176,10 +151,8 @@ def inside_notes(cameras: tuple[Camera, ...], scene: Scene, tracer: Tracer) -> l
     origin = np.broadcast_to(eyes[:, None], direction.shape)
     hits = tracer.closest(Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32)))
     triangle = np.asarray(hits.triangle)
-    corners = np.asarray(scene.mesh.vertices)[np.asarray(scene.mesh.faces)[triangle]]
-    normal = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
     owner = np.asarray(scene.mesh.object)[triangle]
-    from_behind = np.asarray(hits.valid) & ((normal * direction).sum(-1) > 0)
+    from_behind = np.asarray(hits.valid) & seen_from_behind(scene, triangle, direction)
     inside = from_behind.all(-1) & (owner == owner[:, :1]).all(-1)
     if not inside.any():
         return []

@@ -94,9 +94,9 @@ def shown(total: int, *, stream: TextIO | None = None) -> Iterator[Progress]:
     Yields:
         The progress to report to.
     """
-    stream = stream or sys.stderr
-    if not stream.isatty():
-        yield _Lines(total, stream)
+    where = sys.stderr if stream is None else stream
+    if not where.isatty():
+        yield _Lines(total, where)
         return
     from rich.console import Console
     from rich.progress import (
@@ -116,5 +116,5 @@ def shown(total: int, *, stream: TextIO | None = None) -> Iterator[Progress]:
             return Text("" if not speed else f"{1 / speed:.2f} s per frame")
 
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate())
-    with Bar(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(file=stream)) as bar:
+    with Bar(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(file=where)) as bar:
         yield _Bar(bar, bar.add_task("starting", total=total))

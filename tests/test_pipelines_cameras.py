@@ -14,7 +14,8 @@ from jaxrefl.core.cameras import look_at, project
 from jaxrefl.rays import BruteTracer
 from jaxrefl.scene import Description, Part, assemble, matte
 from pipelines.camera_files import camera_file_facts, read_cameras
-from pipelines.cameras import framing_camera, inside_notes, job_cameras, loop_around
+from pipelines.cameras import inside_notes, job_cameras, loop_around
+from pipelines.framing import VIEWS, framing_camera
 from pipelines.job import CameraPath, Job, Keyframe, SceneSource
 from pipelines.keyframes import catmull_rom, keyframe_cameras, rotations
 from pipelines.toml_tables import JobError
@@ -39,8 +40,8 @@ CUBE_FACES = np.array(
 )
 
 
-def cube_scene(*, scale=1.0, shift=(0.0, 0.0, 0.0), cameras=None):
-    part = Part("cube", CORNERS * scale + np.array(shift), CUBE_FACES, matte("grey", (0.5, 0.5, 0.5)))
+def cube_scene(*, scale=1.0, shift=(0.0, 0.0, 0.0), cameras=None, faces=CUBE_FACES):
+    part = Part("cube", CORNERS * scale + np.array(shift), faces, matte("grey", (0.5, 0.5, 0.5)))
     return assemble(Description("cube", [part], cameras=cameras or {}))
 
 
@@ -242,9 +243,20 @@ def test_the_camera_that_is_made_up_sees_everything_at_any_shape_and_scale():
     for size in ((64, 48), (20, 90)):
         for scale in (1e-3, 1.0, 1e4):
             scene = cube_scene(scale=scale, shift=(scale * 5, 0, 0))
-            xy, depth = project(framing_camera(scene, size), scene.mesh.vertices)
+            xy, depth = project(framing_camera(scene, BruteTracer(scene.mesh), size), scene.mesh.vertices)
             assert (np.asarray(depth) > 0).all()
             assert (np.asarray(xy) >= 0).all() and (np.asarray(xy) <= np.array(size)).all()
+
+
+def test_the_camera_that_is_made_up_looks_at_fronts():
+    turned = CUBE_FACES[:, ::-1]
+    front = (CORNERS[turned][..., 2] == 1).all(-1)  # both triangles of the +Z side
+    closed, open_box, room = (cube_scene(faces=faces) for faces in (CUBE_FACES, turned[~front], turned))
+    cameras = [framing_camera(scene, BruteTracer(scene.mesh), SIZE) for scene in (closed, open_box, room)]
+    view = eye(cameras[0]) - 0.5
+    np.testing.assert_allclose(view / view[2], VIEWS[0], atol=1e-5)
+    np.testing.assert_allclose(eye(cameras[1])[:2], [0.5, 0.5], atol=1e-5)
+    assert eye(cameras[1])[2] > 1 and 0.5 < eye(cameras[2])[2] < 1
 
 
 def test_cameras_inside_an_object_are_counted(cube):
