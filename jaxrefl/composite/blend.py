@@ -1,7 +1,9 @@
 """Putting the layers together: GBuffer + diffuse + Reflection -> image."""
 
 import dataclasses
+import functools
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -26,6 +28,7 @@ class Options:
             raise ValueError(f"composite.fresnel: expected 'exact' or 'schlick', got {self.fresnel!r}")
 
 
+@functools.partial(jax.jit, static_argnames="options")
 def blend(
     gbuffer: GBuffer,
     diffuse: Float[Array, "h w 3"],

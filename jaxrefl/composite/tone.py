@@ -1,11 +1,13 @@
 """From linear radiance to a picture for a screen; figures on linear values never pass through here."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrefl.core import srgb_from_linear
 
 
+@jax.jit
 def tone_map(image: Float[Array, "*b 3"], *, exposure: float = 0.0) -> Float[Array, "*b 3"]:
     """sRGB picture of a linear image: exposure, clipping, sRGB curve.
 

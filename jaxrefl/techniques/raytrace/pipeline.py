@@ -7,8 +7,9 @@ import time
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
-from jaxrefl._types import Frame, Reflection, Scene, Tracer
+from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
 from jaxrefl.radiance import DirectOptions, IncomingOptions, incoming
 from jaxrefl.rays import block_size, blocks_of, put_block, take_block
 from jaxrefl.surface import reflective
@@ -55,10 +56,10 @@ def step(
         The state, the reflection, and counts: `mirror_pixels` and `glossy_pixels`.
     """
     began, cast_before = time.perf_counter(), frame.tracer.rays
-    wanted, smooth = reflective(frame.gbuffer), frame.gbuffer.alpha == 0
+    mirror, glossy = _classify(frame.gbuffer)
     result = no_reflection(frame.gbuffer)
     counts = {}
-    classes = {"mirror": (wanted & smooth, 1), "glossy": (wanted & ~smooth, options.samples)}
+    classes = {"mirror": (mirror, 1), "glossy": (glossy, options.samples)}
     for key, (name, (mask, samples)) in zip(jax.random.split(frame.key), classes.items(), strict=True):
         for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
             block = _trace_block(frame, index, jax.random.fold_in(key, number), samples, options)
@@ -67,6 +68,13 @@ def step(
     result = jax.block_until_ready(result)
     seconds = {"trace": time.perf_counter() - began}
     return state, result, Info(frame.tracer.rays - cast_before, seconds, counts)
+
+
+@jax.jit
+def _classify(gbuffer: GBuffer) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Pixels whose lobe is one direction, and those that need samples."""
+    wanted, smooth = reflective(gbuffer), gbuffer.alpha == 0
+    return wanted & smooth, wanted & ~smooth
 
 
 def _trace_block(frame: Frame, index: jax.Array, key: jax.Array, samples: int, options: Options) -> Reflection:
