@@ -8,7 +8,7 @@ from jaxrefl.core import srgb_from_linear
 
 
 @jax.jit
-def tone_map(image: Float[Array, "*b 3"], *, exposure: float = 0.0) -> Float[Array, "*b 3"]:
+def tone_map(image: Float[Array, "*b 3"], *, exposure: float | Float[Array, ""] = 0.0) -> Float[Array, "*b 3"]:
     """sRGB picture of a linear image: exposure, clipping, sRGB curve.
 
     Args:
