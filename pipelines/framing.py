@@ -36,7 +36,7 @@ def framing_camera(scene: Scene, tracer: Tracer, size: tuple[int, int]) -> Camer
         tracer: Ray queries against it.
         size: Width and height in pixels.
     Returns:
-        A camera outside from which the whole bounding box is seen, as close as it can be; or, in a closed room, one near
+        A camera outside from which the whole bounding box is seen, as close as can be; or, in a closed room, one near
         its +Z wall that looks along -Z.
     """
     shares = [front_share(scene, tracer, _outside(scene, view, _PROBE)) for view in VIEWS]
