@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrefl.core.safe import divide, sqrt
 
-_SIZE = 48
+_SIZE = 56
 """Rows (alpha) and columns (cosine) of the table."""
 _NODES, _GENERATOR = 987, 610
 """Fibonacci lattice of the quadrature."""
@@ -27,8 +27,8 @@ def ggx_albedo(
     """Scale A and bias B of the lobe's albedo f0 A + B under Schlick's Fresnel (f90 = 1).
 
     A + B is the share of light that single scattering returns from a lossless surface; the rest is lost by the model.
-    Largest errors over 2,000 pairs (cosine, alpha) against a far finer quadrature: 0.0007 for A, 0.0009 for B, and
-    0.0005 for A + B.
+    Largest errors over 6,000 pairs (cosine, alpha), many of them close to 0, against a far finer quadrature: 0.0008 for
+    A, 0.001 for B, and 0.0006 for A + B.
 
     Args:
         cos_o: Cosine between the viewer and the normal, in [0, 1].
@@ -48,11 +48,11 @@ def lobe_fresnel_cosine(cos_o: Float[Array, "*#b"], alpha: Float[Array, "*#b"]) 
 
     $$ (1 - c)^5 = \frac{B}{A + B} $$
 
-    is exact for Schlick's Fresnel by construction. With `fresnel_dielectric` in its place, the largest error over 2,000
-    pairs (cosine, alpha) is 0.023 for eta = 1.33, 0.016 for 1.5, 0.019 for 2 and 0.03 for 2.5; all near grazing at
+    is exact for Schlick's Fresnel by construction. With `fresnel_dielectric` in its place, the largest error over 6,000
+    pairs (cosine, alpha) is 0.023 for eta = 1.33, 0.016 for 1.5, 0.019 for 2 and 0.031 for 2.5; all near grazing at
     alpha about 0.05, where the mirror's cosine would be wrong by 0.9. From inside a dense medium (eta < 1) total
-    reflection breaks the analogy with Schlick: the error reaches 0.8 for wide lobes (root mean square 0.1 for
-    alpha < 0.3).
+    reflection breaks the analogy with Schlick: the error reaches 0.8 near the critical angle (root mean square 0.09 for
+    alpha < 0.3, 0.25 over all).
 
     Args:
         cos_o: Cosine between the viewer and the normal, in [0, 1].
@@ -69,7 +69,7 @@ def lobe_fresnel_cosine(cos_o: Float[Array, "*#b"], alpha: Float[Array, "*#b"]) 
 def _look_up(cos_o: Float[Array, "*#b"], alpha: Float[Array, "*#b"]) -> tuple[Float[Array, "*#b"], Float[Array, "*#b"]]:
     """A + B, and B / (A + B), by bilinear interpolation."""
     cos_o, alpha = jnp.broadcast_arrays(jnp.clip(cos_o, 0, 1), jnp.clip(alpha, 0, 1))
-    column, column_weight = _cell(_two_thirds(divide(cos_o * (1 + alpha), cos_o + alpha, fill=1.0)))
+    column, column_weight = _cell(sqrt(divide(cos_o * (1 + alpha), cos_o + alpha, fill=1.0)))
     row, row_weight = _cell(sqrt(alpha))
     table = jnp.asarray(_table().reshape(-1, 2))
     first = row * _SIZE + column
@@ -86,21 +86,15 @@ def _cell(x: Float[Array, "*b"]) -> tuple[Int[Array, "*b"], Float[Array, "*b 1"]
     return index.astype(jnp.int32), (scaled - index)[..., None]
 
 
-def _two_thirds(x: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """x^(2/3), with gradient 0 at 0."""
-    zero = x <= 0
-    return jnp.where(zero, 0, jnp.cbrt(jnp.where(zero, 1, x)) ** 2)
-
-
 @functools.cache
 def _table() -> Float[np.ndarray, "m n 2"]:
     """E and (B / E - (1 - cos)^5) / alpha.
 
-    Rows are linear in sqrt(alpha), columns in (cos (1 + alpha) / (cos + alpha))^(2/3).
+    Rows are linear in sqrt(alpha), columns in sqrt(cos (1 + alpha) / (cos + alpha)).
     """
     grid = np.linspace(0, 1, _SIZE)
     alphas = np.maximum(grid**2, 1e-4)[:, None]
-    x = np.maximum(grid**1.5, 1e-8)[None]
+    x = np.maximum(grid**2, 1e-8)[None]
     cos = np.minimum(alphas * x / (1 + alphas - x), 1)
     rows = []
     for c, alpha in zip(cos, alphas, strict=True):
