@@ -85,6 +85,8 @@ def _acquire(path: Path) -> int:
 def claim(folder: Path, job: Job) -> None:
     """Make a locked folder the folder of a job, and clear away what a killed run left half-written.
 
+    A job that left no frame (because its scene was broken, say) does not stand in the way of the next.
+
     Args:
         folder: Results folder.
         job: Resolved job.
@@ -92,19 +94,18 @@ def claim(folder: Path, job: Job) -> None:
         FolderError: If it holds the results of another job; names what differs.
     """
     path, text = folder / "job.toml", job_text(job)
-    if path.exists():
-        there = path.read_text(encoding="utf-8")
-        if there != text:
+    there = path.read_text(encoding="utf-8") if path.exists() else None
+    if there != text and any(folder.glob("*/frame_*")):
+        if there is not None:
             raise FolderError(
                 f"{folder}: holds the results of another job ({_difference(there, text)}); name another folder"
             )
-    elif any(folder.glob("*/frame_*.json")):
         raise FolderError(
             f"{folder}: holds frames but no job.toml, so nobody knows what they show; name another folder"
         )
     for leftover in [*folder.glob(f".*{TEMPORARY}"), *folder.glob(f"*/.*{TEMPORARY}")]:
         leftover.unlink(missing_ok=True)
-    if not path.exists():
+    if there != text:
         write_atomic(path, text.encode())
 
 
@@ -188,7 +189,7 @@ def collect(folder: Path, job: Job) -> list[dict[str, Any]]:
         folder: Results folder, locked.
         job: Resolved job.
     Returns:
-        All rows, by frame, then technique in the job's order, then mask.
+        All rows, by frame, then technique in the job's order, then mask; without any nothing is written.
     Raises:
         FolderError: If a frame's rows are broken; names the file.
     """
@@ -198,6 +199,8 @@ def collect(folder: Path, job: Job) -> list[dict[str, Any]]:
             path = frame_path(folder, technique, frame, ".json")
             if path.is_file():
                 table += _read_rows(path)
+    if not table:
+        return table
     lines = ",\n".join(json_text(row) for row in table)
     write_atomic(folder / "metrics.json", f"[\n{lines}\n]\n".encode())
     write_atomic(folder / "metrics.csv", csv_text(table).encode())

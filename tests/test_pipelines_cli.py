@@ -203,6 +203,8 @@ def test_a_folder_in_use_and_another_job(here, capfd):
         assert cli.main(["render", "cornell", "--out", "OUT"]) == 2
         assert "OUT: is in use by process" in capfd.readouterr().err
     (here / "OUT" / "job.toml").write_text("seed = 8\n")
+    (here / "OUT" / "raytrace").mkdir()
+    (here / "OUT" / "raytrace" / "frame_0000.json").write_text("[]")
     assert cli.main(["render", "cornell", "--out", "OUT"]) == 2
     assert "holds the results of another job (seed: 8 there, 0 now" in capfd.readouterr().err
 

@@ -14,7 +14,7 @@ from fake_techniques import FAKES
 
 from pipelines.folder import FolderError, claim, collect, csv_text, frame_path, is_done, locked, read_reference, store
 from pipelines.frames import FrameFiles
-from pipelines.job import Job, Outputs, Reference, SceneSource
+from pipelines.job import Job, Outputs, Reference, SceneSource, job_text
 from pipelines.outputs import exr_bytes
 from pipelines.resolve import resolve
 
@@ -80,6 +80,7 @@ def test_a_file_is_no_folder(tmp_path):
 
 def test_another_job_is_refused_and_says_what_differs(tmp_path, job):
     claim(tmp_path, job)
+    store(tmp_path, finished(0, []))
     claim(tmp_path, job)
     changed = resolve(Job(job.scene, techniques=("plain",), frames=3, size=(8, 6), seed=5), techniques=FAKES)
     with pytest.raises(FolderError, match=r"frames: 2 there, 3 now; seed: 0 there, 5 now"):
@@ -87,6 +88,13 @@ def test_another_job_is_refused_and_says_what_differs(tmp_path, job):
     (tmp_path / "job.toml").write_text("= broken")
     with pytest.raises(FolderError, match=r"its job\.toml is broken"):
         claim(tmp_path, job)
+
+
+def test_a_job_without_a_frame_gives_way(tmp_path, job):
+    (tmp_path / "job.toml").write_text("seed = 8")
+    claim(tmp_path, job)
+    assert (tmp_path / "job.toml").read_text() == job_text(job)
+    assert collect(tmp_path, job) == [] and not (tmp_path / "metrics.json").exists()
 
 
 def test_frames_of_unknown_origin_are_refused(tmp_path, job):
