@@ -5,10 +5,13 @@ The two jitted halves are public for those who cast the shadow rays themselves o
 only geometry, `outgoing_light` is linear in the irradiance and differentiable in every material parameter.
 """
 
+from collections.abc import Iterator
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer, Lights, Scene, Tracer
 from jaxrefl.radiance.light_samples import (
@@ -22,6 +25,8 @@ from jaxrefl.radiance.light_samples import (
 from jaxrefl.rays.blocks import blocks_of, put_block, take_block
 from jaxrefl.scene.environment import environment_radiance
 from jaxrefl.surface.specular import diffuse_albedo
+
+T = TypeVar("T")
 
 _RAYS_PER_BLOCK = 2**18
 _POINTS_PER_BLOCK = 2**16
@@ -53,9 +58,16 @@ def direct_light(
     lights, dims = scene.lights, gbuffer.valid.ndim
     size = _block_size(gbuffer.valid.size, samples_per_point(lights, options=options))
     image = jnp.zeros(gbuffer.p.shape, gbuffer.p.dtype)
-    for number, index in enumerate(blocks_of(gbuffer.valid, size=size)):
+
+    def sampled(number: int, index: Int[Array, "n"]) -> tuple[Int[Array, "n"], GBuffer, LightSamples | None]:
         points = take_block(gbuffer, index, batch_dims=dims)
-        arriving = _irradiance(scene, tracer, points, index >= 0, jax.random.fold_in(key, number), options=options)
+        return index, points, _samples(scene, receivers_of(points), index, jax.random.fold_in(key, number), options)
+
+    blocks = enumerate(blocks_of(gbuffer.valid, size=size))
+    for index, points, samples in _one_ahead(sampled(number, index) for number, index in blocks):
+        arriving = jnp.zeros_like(points.p)
+        if samples is not None:
+            arriving = arriving_light(samples, tracer.occluded(samples.rays, samples.t_max))
         image = put_block(index, image, outgoing_light(lights, points, arriving), batch_dims=dims)
     for index in blocks_of(~gbuffer.valid, size=size):
         away = -take_block(gbuffer.wo, index, batch_dims=dims)
@@ -116,21 +128,24 @@ def arriving_light(samples: LightSamples, occluded: Bool[Array, "s n"]) -> Float
     return jnp.where(occluded[..., None], 0, samples.irradiance).sum(0)
 
 
-def _irradiance(
-    scene: Scene, tracer: Tracer, gbuffer: GBuffer, used: Bool[Array, "n"], key: Array, *, options: DirectOptions
-) -> Float[Array, "n 3"]:
-    samples = _samples(scene, receivers_of(gbuffer), used, key, options)
-    if samples is None:
-        return jnp.zeros_like(gbuffer.p)
-    return arriving_light(samples, tracer.occluded(samples.rays, samples.t_max))
-
-
 @eqx.filter_jit
 def _samples(
-    scene: Scene, receivers: Receivers, used: Bool[Array, "n"], key: Array, options: DirectOptions
+    scene: Scene, receivers: Receivers, index: Int[Array, "n"], key: Array, options: DirectOptions
 ) -> LightSamples | None:
-    receivers = eqx.tree_at(lambda r: r.valid, receivers, receivers.valid & used)
+    """Light samples of one block; its padding (index -1) gets no rays."""
+    receivers = eqx.tree_at(lambda r: r.valid, receivers, receivers.valid & (index >= 0))
     return sample_lights(scene, receivers, key, options=options)
+
+
+def _one_ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same items, each handed on after the next one has been started: the device samples while the host casts."""
+    previous = None
+    for item in items:
+        if previous is not None:
+            yield previous
+        previous = item
+    if previous is not None:
+        yield previous
 
 
 def _block_size(points: int, samples: int) -> int:

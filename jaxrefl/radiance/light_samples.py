@@ -212,10 +212,10 @@ def _punctual(light: PunctualLights, receivers: Receivers, u: Float[Array, "n 2"
     # A disk of half angle r and radiance L brings pi L sin^2 r; its solid angle is 2 pi (1 - cos r).
     strength = jnp.where(light.directional, 2 / (1 + cos_radius), strength)
     irradiance = jnp.broadcast_to(light.intensity, shape) * strength[:, None]
-    far, near = (
-        _far(receivers, sun, irradiance * _cosine(receivers, sun)),
-        _towards(receivers, wi, position, irradiance),
-    )
+    far = _far(receivers, sun, irradiance * _cosine(receivers, sun))
+    # A lamp may lie on the surface that it is mounted on, so its ray ends a little before it.
+    end = position - wi * (ERROR_PER_COORDINATE * _largest(position) + receivers.p_error)[:, None]
+    near = _towards(receivers, wi, end, irradiance)
     return jax.tree.map(lambda x, y: jnp.where(light.directional, x, y), far, near)
 
 
