@@ -43,6 +43,7 @@ from .radiance import direct_light as direct_light
 from .radiance import incoming as incoming
 from .rays import BruteTracer as BruteTracer
 from .rays import EmbreeTracer as EmbreeTracer
+from .rays import attach_hits as attach_hits
 from .rays import camera_rays as camera_rays
 from .scene import assemble as assemble
 from .scene import load as load

@@ -176,8 +176,11 @@ class Lights(eqx.Module):
     ambient: Float[Array, "3"]
     """Constant radiance from all directions, without shadows, on top of the other lights."""
     area: AreaLights | None = None
+    """Emissive triangles; None: nothing emits."""
     punctual: PunctualLights | None = None
+    """Point, spot and directional lights; None: there are none."""
     environment: Environment | None = None
+    """Light from infinitely far away; None: there is none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,8 +231,11 @@ class Scene(eqx.Module):
     """A scene as arrays: geometry, materials, textures, lights, and what it takes to render them."""
 
     mesh: Mesh
+    """All triangles."""
     materials: Materials
+    """One row per material."""
     lights: Lights
+    """Everything that emits."""
     textures: Textures | None
     """None: nothing is textured."""
     lower: Float[Array, "3"]
@@ -239,7 +245,9 @@ class Scene(eqx.Module):
     cameras: tuple[Camera, ...]
     """Cameras that came with the scene, named by `names.cameras`; may be empty."""
     features: Features = eqx.field(static=True)
+    """What is in the scene; absent features cost nothing."""
     names: Names = eqx.field(static=True)
+    """What the indices mean, and what was noted on import."""
 
 
 @runtime_checkable
@@ -329,11 +337,15 @@ class Frame(eqx.Module):
     """What a technique's `step` is given for one image."""
 
     scene: Scene
+    """The scene."""
     camera: Camera
+    """Camera of this frame."""
     gbuffer: GBuffer
+    """What the camera sees [h w]."""
     key: Array
     """Random key of this frame."""
     tracer: Tracer = eqx.field(static=True)
+    """Ray queries against `scene.mesh`, on the host."""
 
 
 Size = Sequence[int]

@@ -1,3 +1,4 @@
+from .attach import attach_hits as attach_hits
 from .blocks import block_size as block_size
 from .blocks import blocks_of as blocks_of
 from .blocks import put_block as put_block

@@ -28,6 +28,9 @@ from jaxrefl.core.safe import normalise
 GRAZING = 1e-3
 """Smallest sine by which a reflected direction stays above the geometric surface."""
 
+FOLDED = 1e-3
+"""Weight of a sampled direction that the surface itself would block."""
+
 
 def reflective(gbuffer: GBuffer) -> Bool[Array, "*b"]:
     """Which points have a specular lobe: metals, and dielectrics whose index differs from 1.
@@ -172,16 +175,19 @@ def sample_reflection(gbuffer: GBuffer, u: Float[Array, "*b 2"]) -> tuple[Float[
     Returns:
         Unit directions `wi`, and the weight of the radiance that arrives along them: the lobe's mean radiance is
         `sum(w L) / sum(w)`, its single-scattering albedo for F = 1 is `mean(w)`.
-    Edge cases: at alpha 0 always the mirror direction with weight 1; directions below the surface have weight 0.
+    Edge cases: at alpha 0 always the mirror direction with weight 1. Directions below the surface, which the microfacets
+        mask, are folded up and weigh `FOLDED`: they count where a pixel has no better sample, and nowhere else.
     Source: [Heitz18] for visible normals.
     """
     wo = to_local(gbuffer.wo, gbuffer.ns)
     wi = reflect(wo, sample_visible_normal(wo, gbuffer.alpha, u))
     ratio = smith_g2(wo[..., 2], wi[..., 2], gbuffer.alpha) / jnp.maximum(smith_g1(wo[..., 2], gbuffer.alpha), 1e-6)
     smooth = gbuffer.alpha == 0
-    direction = jnp.where(smooth[..., None], mirror_direction(gbuffer), to_world(wi, gbuffer.ns))
-    above = (wi[..., 2] > 0) & (dot(direction, gbuffer.n) > 0)
-    return direction, jnp.where(smooth, 1, jnp.where(above, ratio, 0))
+    masked = wi[..., 2] <= 0
+    folded = jnp.stack([wi[..., 0], wi[..., 1], jnp.abs(wi[..., 2])], -1)
+    direction = keep_above(to_world(folded, gbuffer.ns), gbuffer.n)
+    direction = jnp.where(smooth[..., None], mirror_direction(gbuffer), direction)
+    return direction, jnp.where(smooth, 1, jnp.where(masked, FOLDED, jnp.maximum(ratio, FOLDED)))
 
 
 def sample_refraction(gbuffer: GBuffer, thin: Bool[Array, "*b"], u: Float[Array, "*b 2"]) -> Float[Array, "*b 3"]:
