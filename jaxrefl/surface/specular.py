@@ -175,7 +175,7 @@ def sample_reflection(gbuffer: GBuffer, u: Float[Array, "*b 2"]) -> tuple[Float[
     Returns:
         Unit directions `wi`, and the weight of the radiance that arrives along them: the lobe's mean radiance is
         `sum(w L) / sum(w)`, its single-scattering albedo for F = 1 is `mean(w)`.
-    Edge cases: at alpha 0 always the mirror direction with weight 1. Directions below the surface, which the microfacets
+    Edge cases: at alpha 0 always the mirror direction with weight 1. Directions below the surface, which microfacets
         mask, are folded up and weigh `FOLDED`: they count where a pixel has no better sample, and nowhere else.
     Source: [Heitz18] for visible normals.
     """
