@@ -38,13 +38,13 @@ def refract(
         eta: Index of refraction of the far side over that of the viewer's side, > 0.
     Returns:
         Unit directions on the far side, and False at total internal reflection, where the direction is the mirror's.
-    Edge cases: eta = 1 goes straight on. At the critical angle the gradient is cut to 0 (it diverges).
+    Edge cases: eta = 1 goes straight on, eta >= 1 is always valid. At the critical angle the gradient is cut to 0 (it diverges).
     """
     cos = dot(wo, n)
     n = jnp.where(cos[..., None] < 0, -n, n)
     cos = jnp.abs(cos)
     squared = (eta - 1) * (eta + 1) + cos * cos  # (eta cos_t)^2, without cancellation for eta close to 1
-    valid = squared > 0
+    valid = (squared > 0) | (eta >= 1)
     cos_t = sqrt(squared) / eta
     tangential = wo - cos[..., None] * n
     refracted = -tangential / eta[..., None] - cos_t[..., None] * n

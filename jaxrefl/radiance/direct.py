@@ -29,7 +29,7 @@ from jaxrefl.surface.specular import diffuse_albedo
 T = TypeVar("T")
 
 _RAYS_PER_BLOCK = 2**18
-_POINTS_PER_BLOCK = 2**16
+_POINTS_PER_BLOCK = 2**14
 
 
 def direct_light(
@@ -75,7 +75,7 @@ def direct_light(
     return image
 
 
-@eqx.filter_jit
+@jax.jit
 def outgoing_light(lights: Lights, gbuffer: GBuffer, irradiance: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     r"""Emission and diffuse reflection of known irradiance.
 
@@ -99,7 +99,7 @@ def outgoing_light(lights: Lights, gbuffer: GBuffer, irradiance: Float[Array, "*
     return jnp.where(gbuffer.valid[..., None], radiance, 0)
 
 
-@eqx.filter_jit
+@jax.jit
 def background(lights: Lights, direction: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """What is seen where there is no surface: the environment and the ambient radiance.
 
@@ -115,7 +115,7 @@ def background(lights: Lights, direction: Float[Array, "*b 3"]) -> Float[Array, 
     return radiance
 
 
-@eqx.filter_jit
+@jax.jit
 def arriving_light(samples: LightSamples, occluded: Bool[Array, "s n"]) -> Float[Array, "n 3"]:
     """Irradiance from light samples and what their shadow rays met.
 

@@ -6,7 +6,8 @@ unbiased.
 """
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -39,9 +40,12 @@ def _count(default: int, high: int, help: str) -> Any:
 class DirectOptions:
     """How many light samples each point takes; static."""
 
-    area_samples: int = _count(4, 1024, "Shadow rays per point to emissive triangles.")
+    MOST: ClassVar[int] = 1024
+    """Most shadow rays per point to one kind of light."""
+
+    area_samples: int = _count(4, MOST, "Shadow rays per point to emissive triangles.")
     """Shadow rays per point to emissive triangles, stratified over their power."""
-    environment_samples: int = _count(4, 1024, "Shadow rays per point to the environment map or sky.")
+    environment_samples: int = _count(4, MOST, "Shadow rays per point to the environment map or sky.")
     """Shadow rays per point to the environment map or sky, stratified."""
     punctual_samples: int = _count(1, 256, "Shadow rays per point to each point, spot and directional light.")
     """Shadow rays per point to each point, spot and directional light; more than 1 only helps suns with a radius."""
@@ -127,23 +131,31 @@ def sample_lights(scene: Scene, receivers: Receivers, key: Array, *, options: Di
         position of the point counts as 0.
     Source: [PBRT4] §12.2 to §12.6, [VG95] for the balance heuristic; KHR_lights_punctual for the spot's falloff.
     """
-    lights, n = scene.lights, receivers.valid.shape[0]
-    key_area, key_environment, key_punctual = jax.random.split(key, 3)
+    lights, parts = scene.lights, []
+    key_area, key_map, key_lobe, key_punctual = jax.random.split(key, 4)
 
-    def run(key: Array, count: int, sample) -> LightSamples:
-        u = jnp.moveaxis(stratified(key, count, shape=(n,)), 1, 0)
+    def run(key: Array, count: int, of: int, sample: Callable[[Float[Array, "n 2"]], LightSamples]) -> None:
+        """Make `count` samples for each point, out of `of` that estimate the same integral."""
+        u = jnp.moveaxis(stratified(key, count, shape=receivers.valid.shape), 1, 0)
         samples = jax.vmap(sample)(u)
-        return eqx.tree_at(lambda x: x.irradiance, samples, samples.irradiance / count)
+        parts.append(eqx.tree_at(lambda x: x.irradiance, samples, samples.irradiance / of))
 
-    parts = []
     if (area := lights.area) is not None:
-        parts.append(run(key_area, options.area_samples, lambda u: _area(scene, area, receivers, u)))
+        run(key_area, options.area_samples, options.area_samples, lambda u: _area(scene, area, receivers, u))
     if (environment := lights.environment) is not None:
         count = options.environment_samples
-        parts.append(run(key_environment, count, lambda u: _environment(environment, receivers, u)))
+        if environment.probability.size == 1:
+            run(key_lobe, count, count, lambda u: _constant_sky(environment, receivers, u))
+        elif count == 1:
+            run(key_lobe, 1, 1, lambda u: _lobe_or_map(environment, receivers, u))
+        else:
+            lobe = round(COSINE_SHARE * count)
+            run(key_lobe, lobe, count, lambda u: _lobe(environment, receivers, u, lobe / count))
+            run(key_map, count - lobe, count, lambda u: _map(environment, receivers, u, lobe / count))
     if (punctual := lights.punctual) is not None:
-        samples = run(key_punctual, options.punctual_samples, lambda u: _all_punctual(punctual, receivers, u))
-        parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples))
+        count = options.punctual_samples
+        run(key_punctual, count, count, lambda u: _all_punctual(punctual, receivers, u))
+        parts[-1] = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), parts[-1])
     return jax.tree.map(lambda *x: jnp.concatenate(x), *parts) if parts else None
 
 
@@ -175,20 +187,46 @@ def _area(scene: Scene, area: AreaLights, receivers: Receivers, u: Float[Array, 
     return _towards(receivers, wi, offset_origin(q, n_light, q_error, -wi), irradiance)
 
 
-def _environment(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
-    """A direction from the cosine lobe or the map, weighted by the density of both together."""
-    if environment.probability.size == 1:
-        wi = cosine_hemisphere(u, receivers.ns)
-        return _far(receivers, wi, environment_radiance(environment, wi) * jnp.pi)
-    # Which of the two is chosen is stratified along with the rest: the first number decides and is stretched again.
+def _constant_sky(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """A direction from the cosine lobe, the density of which cancels everything but the radiance."""
+    wi = cosine_hemisphere(u, receivers.ns)
+    return _far(receivers, wi, environment_radiance(environment, wi) * jnp.pi)
+
+
+def _lobe(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"], share: float) -> LightSamples:
+    """A direction from the cosine lobe, where `share` of all samples come from."""
+    wi = cosine_hemisphere(u, receivers.ns)
+    return _weighed(receivers, wi, environment_radiance(environment, wi), environment_pdf(environment, wi), share)
+
+
+def _map(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"], share: float) -> LightSamples:
+    """A direction from the map, where all but `share` of the samples come from."""
+    wi, radiance, density = sample_environment(environment, u)
+    return _weighed(receivers, wi, radiance, density, share)
+
+
+def _lobe_or_map(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:
+    """A direction from either: the first random number decides and is stretched again."""
     from_lobe = u[:, 0] < COSINE_SHARE
     x = jnp.where(from_lobe, u[:, 0] / COSINE_SHARE, (u[:, 0] - COSINE_SHARE) / (1 - COSINE_SHARE))
     u = jnp.stack([x, u[:, 1]], -1)
     from_map, _, _ = sample_environment(environment, u)
     wi = jnp.where(from_lobe[:, None], cosine_hemisphere(u, receivers.ns), from_map)
+    radiance, density = environment_radiance(environment, wi), environment_pdf(environment, wi)
+    return _weighed(receivers, wi, radiance, density, COSINE_SHARE)
+
+
+def _weighed(
+    receivers: Receivers,
+    wi: Float[Array, "n 3"],
+    radiance: Float[Array, "n 3"],
+    map_density: Float[Array, "n"],
+    share: float,
+) -> LightSamples:
+    """The balance heuristic: radiance times cosine over the density of the lobe and the map together."""
     cos = jnp.maximum(dot(receivers.ns, wi), 0)
-    density = COSINE_SHARE * cos / jnp.pi + (1 - COSINE_SHARE) * environment_pdf(environment, wi)
-    return _far(receivers, wi, environment_radiance(environment, wi) * safe.divide(cos, density)[:, None])
+    density = share * cos / jnp.pi + (1 - share) * map_density
+    return _far(receivers, wi, radiance * safe.divide(cos, density)[:, None])
 
 
 def _all_punctual(lights: PunctualLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightSamples:

@@ -3,6 +3,7 @@
 The opponent of every other technique, and with many samples their reference.
 """
 
+import dataclasses
 import time
 
 import jax
@@ -12,16 +13,9 @@ from jaxtyping import Array, Bool
 from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
 from jaxrefl.radiance import DirectOptions, IncomingOptions, incoming
 from jaxrefl.rays import block_size, blocks_of, put_block, take_block
-from jaxrefl.surface import reflective
+from jaxrefl.surface import reflective, refractive
 from jaxrefl.techniques._shape import no_reflection
-from jaxrefl.techniques.raytrace.trace import (
-    add_reflected,
-    add_transmitted,
-    reflected_rays,
-    reflection_of,
-    refracted_rays,
-    start_sums,
-)
+from jaxrefl.techniques.raytrace.trace import add_sample, reflected_rays, reflection_of, refracted_rays, start_sums
 from jaxrefl.techniques.raytrace.types import Info, Options, Params, State
 
 
@@ -53,44 +47,69 @@ def step(
         params: No knobs.
         options: Samples, bounces, block size.
     Returns:
-        The state, the reflection, and counts: `mirror_pixels` and `glossy_pixels`.
+        The state, the reflection, and counts: `mirror_pixels`, `glossy_pixels`, `refractive_pixels`.
     """
     began, cast_before = time.perf_counter(), frame.tracer.rays
-    mirror, glossy = _classify(frame.gbuffer)
+    mirror, glossy, clear = _classify(frame.gbuffer)
+    passes = {
+        "mirror": (mirror, _reflect_block, _with_light_for_rays(options)),
+        "glossy": (glossy, _reflect_block, options),
+        "refractive": (clear, _refract_block, options),
+    }
     result = no_reflection(frame.gbuffer)
-    counts = {}
-    classes = {"mirror": (mirror, 1), "glossy": (glossy, options.samples)}
-    for key, (name, (mask, samples)) in zip(jax.random.split(frame.key), classes.items(), strict=True):
+    for key, (mask, trace, chosen) in zip(jax.random.split(frame.key, len(passes)), passes.values(), strict=True):
         for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
-            block = _trace_block(frame, index, jax.random.fold_in(key, number), samples, options)
-            result = put_block(index, result, block)
-        counts[f"{name}_pixels"] = int(mask.sum())
+            points = take_block(frame.gbuffer, index)
+            result = trace(result, frame, index, points, jax.random.fold_in(key, number), options=chosen)
     result = jax.block_until_ready(result)
+    counts = {f"{name}_pixels": int(mask.sum()) for name, (mask, _, _) in passes.items()}
     seconds = {"trace": time.perf_counter() - began}
     return state, result, Info(frame.tracer.rays - cast_before, seconds, counts)
 
 
 @jax.jit
-def _classify(gbuffer: GBuffer) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Pixels whose lobe is one direction, and those that need samples."""
+def _classify(gbuffer: GBuffer) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Pixels whose lobe is one direction, those that need samples, and those that let light through."""
     wanted, smooth = reflective(gbuffer), gbuffer.alpha == 0
-    return wanted & smooth, wanted & ~smooth
+    return wanted & smooth, wanted & ~smooth, refractive(gbuffer)
 
 
-def _trace_block(frame: Frame, index: jax.Array, key: jax.Array, samples: int, options: Options) -> Reflection:
+def _with_light_for_rays(options: Options) -> Options:
+    """Mirrors need one ray: what they save in rays goes into light samples where that ray ends."""
+    area, environment = (
+        min(count * options.samples, DirectOptions.MOST)
+        for count in (options.area_samples, options.environment_samples)
+    )
+    return dataclasses.replace(options, samples=1, area_samples=area, environment_samples=environment)
+
+
+def _following(options: Options) -> IncomingOptions:
     light = DirectOptions(area_samples=options.area_samples, environment_samples=options.environment_samples)
-    follow = IncomingOptions(bounces=options.bounces, interfaces=options.interfaces, light=light)
-    points = take_block(frame.gbuffer, index)
-    sums = start_sums(points, index)
-    key_reflect, key_refract, key_light = jax.random.split(key, 3)
-    for number in range(samples):
-        sample = jnp.asarray(number, jnp.int32)
-        key_in, key_through = jax.random.split(jax.random.fold_in(key_light, number))
-        rays, weight = reflected_rays(points, sums.traced, key_reflect, sample)
-        light_in = incoming(frame.scene, frame.tracer, rays, weight > 0, key_in, options=follow)
-        sums = add_reflected(sums, weight, light_in)
-        if frame.scene.features.refractive:
-            rays, active = refracted_rays(frame.scene, points, sums.traced, key_refract, sample)
-            light_in = incoming(frame.scene, frame.tracer, rays, active, key_through, options=follow)
-            sums = add_transmitted(sums, jnp.asarray(1 / samples, jnp.float32), light_in)
-    return reflection_of(sums)
+    return IncomingOptions(bounces=options.bounces, interfaces=options.interfaces, light=light)
+
+
+def _reflect_block(
+    result: Reflection, frame: Frame, index: Array, points: GBuffer, key: Array, *, options: Options
+) -> Reflection:
+    sums = start_sums(index)
+    key_lobe, key_light = jax.random.split(key)
+    for number in range(options.samples):
+        rays, weight = reflected_rays(points, sums.traced, key_lobe, jnp.asarray(number, jnp.int32))
+        key_in = jax.random.fold_in(key_light, number)
+        light = incoming(frame.scene, frame.tracer, rays, weight > 0, key_in, options=_following(options))
+        sums = add_sample(sums, weight, light)
+    rest = dataclasses.replace(result, transmitted=None)
+    return dataclasses.replace(put_block(index, rest, reflection_of(sums)), transmitted=result.transmitted)
+
+
+def _refract_block(
+    result: Reflection, frame: Frame, index: Array, points: GBuffer, key: Array, *, options: Options
+) -> Reflection:
+    mean = jnp.zeros_like(points.p)
+    key_lobe, key_light = jax.random.split(key)
+    for number in range(options.samples):
+        rays = refracted_rays(frame.scene, points, key_lobe, jnp.asarray(number, jnp.int32))
+        key_in = jax.random.fold_in(key_light, number)
+        light = incoming(frame.scene, frame.tracer, rays, index >= 0, key_in, options=_following(options))
+        mean = mean + light.radiance / options.samples
+    return dataclasses.replace(result, transmitted=put_block(index, result.transmitted, mean))

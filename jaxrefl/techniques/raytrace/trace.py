@@ -1,7 +1,5 @@
 """One block of pixels: lobe samples -> rays -> mean radiance of the lobe."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,7 @@ from jaxrefl._status import Source
 from jaxrefl._types import GBuffer, Rays, Reflection, Scene
 from jaxrefl.radiance.incoming import Incoming
 from jaxrefl.rays import offset_origin
-from jaxrefl.surface import refractive, sample_reflection, sample_refraction
+from jaxrefl.surface import sample_reflection, sample_refraction
 
 _R2 = (0.7548776662466927, 0.5698402909980532)
 """Generators of the R2 sequence [Roberts18]: samples of one pixel stay apart at any count."""
@@ -22,25 +20,22 @@ class Sums(eqx.Module):
 
     weight: Float[Array, "n"]
     radiance: Float[Array, "n 3"]
-    transmitted: Float[Array, "n 3"] | None
     hits: Float[Array, "n"]
     t: Float[Array, "n"]
     p: Float[Array, "n 3"]
     traced: Bool[Array, "n"]
 
 
-def start_sums(points: GBuffer, index: Int[Array, "n"]) -> Sums:
+def start_sums(index: Int[Array, "n"]) -> Sums:
     """Empty sums for one block.
 
     Args:
-        points: G-buffer of the block.
         index: Indices of the block, -1 for padding.
     Returns:
         Zeros.
     """
     zero, vector = jnp.zeros(index.shape, jnp.float32), jnp.zeros((*index.shape, 3), jnp.float32)
-    transmitted = None if points.transmission is None else vector
-    return Sums(zero, vector, transmitted, zero, zero, vector, index >= 0)
+    return Sums(zero, vector, zero, zero, vector, index >= 0)
 
 
 def _lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array, "n 2"]:
@@ -70,27 +65,24 @@ def reflected_rays(
 
 
 @jax.jit
-def refracted_rays(
-    scene: Scene, points: GBuffer, active: Bool[Array, "n"], key: Array, sample: Int[Array, ""]
-) -> tuple[Rays, Bool[Array, "n"]]:
+def refracted_rays(scene: Scene, points: GBuffer, key: Array, sample: Int[Array, ""]) -> Rays:
     """One ray per point through its surface.
 
     Args:
         scene: The scene.
-        points: G-buffer of the block.
-        active: Which points are still sampled.
+        points: G-buffer of the block, refractive points only.
         key: Random key of the block.
         sample: Number of the sample.
     Returns:
-        Rays on the far side of the surface, and which of them to trace.
+        Rays on the far side of the surface.
     """
     thin = scene.materials.thin[jnp.maximum(points.material, 0)]
-    wi = sample_refraction(points, thin, _lobe_sample(key, sample, active.shape[0]))
-    return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi), active & refractive(points)
+    wi = sample_refraction(points, thin, _lobe_sample(key, sample, thin.shape[0]))
+    return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
 
 
 @jax.jit
-def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
+def add_sample(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
     """Add one reflected sample per point.
 
     Args:
@@ -104,27 +96,11 @@ def add_reflected(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sum
     return Sums(
         weight=sums.weight + weight,
         radiance=sums.radiance + weight[..., None] * light.radiance,
-        transmitted=sums.transmitted,
         hits=sums.hits + hit,
         t=sums.t + hit * light.t,
         p=sums.p + hit[..., None] * light.p,
         traced=sums.traced,
     )
-
-
-@jax.jit
-def add_transmitted(sums: Sums, share: Float[Array, ""], light: Incoming) -> Sums:
-    """Add one refracted sample per point.
-
-    Args:
-        sums: Sums so far, of a scene with refractive materials.
-        share: One over the number of samples there will be.
-        light: What arrived.
-    Returns:
-        The new sums.
-    """
-    before = jnp.zeros_like(light.radiance) if sums.transmitted is None else sums.transmitted
-    return dataclasses.replace(sums, transmitted=before + light.radiance * share)
 
 
 @jax.jit
@@ -146,5 +122,4 @@ def reflection_of(sums: Sums) -> Reflection:
         confidence=sums.traced.astype(jnp.float32),
         p=sums.p * inverse_hits[..., None],
         t=sums.t * inverse_hits,
-        transmitted=sums.transmitted,
     )

@@ -16,7 +16,7 @@ class Params(eqx.Module):
 class Options:
     """Static knobs."""
 
-    samples: int = option(1, "Rays per glossy pixel; mirrors need one.", low=1, high=65536)
+    samples: int = option(1, "Rays per glossy pixel; mirrors need one and take more light samples.", low=1, high=65536)
     bounces: int = option(0, "Further mirror bounces; 0 shows mirrors by their diffuse colour.", low=0, high=16)
     interfaces: int = option(4, "Refractive interfaces a ray may pass.", low=1, high=32)
     area_samples: int = option(1, "Shadow rays to area lights at each reflected hit.", low=1, high=4096)
