@@ -1,4 +1,7 @@
-"""Safe functions, vectors, frames, shapes and the directions of reflection and refraction."""
+"""Safe functions, vectors, frames, shapes and the directions of reflection and refraction.
+
+Tolerances of the property tests are twice the worst of 2 million random cases, or more.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -111,7 +114,7 @@ class TestShapes:
         enter, leave, valid = core.intersect_sphere(origin, direction, centre, radius)
         for t in (enter, leave):
             distance = safe.norm(origin + t[..., None] * direction - centre)
-            np.testing.assert_allclose(np.where(valid, distance, radius), radius, atol=3e-4)  # measured 9e-5
+            np.testing.assert_allclose(np.where(valid, distance, radius), radius, atol=2e-5)
         assert ((leave >= enter) | ~valid).all()
         assert ((leave >= 0) | ~valid).all()
         assert ((enter == 0) & (leave == 0) | valid).all()
@@ -153,7 +156,7 @@ class TestShapes:
     def test_mirror_twice_is_the_identity(self, case):
         p, point, n = case
         image = core.mirror_point(p, point, n)
-        np.testing.assert_allclose(core.mirror_point(image, point, n), p, atol=3e-5)
+        np.testing.assert_allclose(core.mirror_point(image, point, n), p, atol=6e-5)
         middle = 0.5 * (p + image)
         np.testing.assert_allclose(core.dot(middle - point, n), 0, atol=3e-5)
 
@@ -180,8 +183,8 @@ class TestReflectAndRefract:
         # Grazing light comes back at the critical angle, where total reflection is a matter of rounding.
         clear = np.abs(core.dot(wo, n)) > 0.01
         assert (np.asarray(valid) | ~clear).all()
-        # The angle is lost as 1 / cos near the critical one; measured 2e-5.
-        np.testing.assert_allclose(np.where(clear[..., None], back, wo), wo, atol=1e-4)
+        # Rounding of an angle near the critical one grows by 1 / cos: 1.8e-4 at the cosine of 0.01.
+        np.testing.assert_allclose(np.where(clear[..., None], back, wo), wo, atol=4e-4)
 
     @given(with_shape(lambda s: (unit_vectors(s), floats(1.05, 3.0, s), floats(0.0, 1.0, s))))
     def test_total_internal_reflection_starts_at_the_critical_angle(self, case):
@@ -203,4 +206,4 @@ class TestReflectAndRefract:
         wo, n = case
         wi, valid = core.refract(wo, n, jnp.ones(wo.shape[:-1]))
         np.testing.assert_allclose(wi, -wo, atol=1e-6)
-        assert (np.asarray(valid) | (np.asarray(core.dot(wo, n)) == 0)).all()
+        assert valid.all()
