@@ -25,7 +25,7 @@ def assert_uniform(values) -> None:
     assert kstest(np.asarray(values, np.float64), "uniform").pvalue > FALSE_ALARM
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 12, 16, 31])
+@pytest.mark.parametrize("count", [1, 3, 12, 31])
 def test_one_point_in_each_stratum(count, key):
     """The rows and cells of the docstring, rebuilt with a loop."""
     points = np.asarray(core.stratified(key, count, shape=(50,)), np.float64)
@@ -48,7 +48,7 @@ def test_strata_of_a_square_count_are_the_square_grid(key):
     assert (cells[..., 1] == np.repeat(np.arange(4), 4)).all()
 
 
-@pytest.mark.parametrize("count", [3, 4, 5])
+@pytest.mark.parametrize("count", [4, 5])
 def test_stratified_points_are_uniform_and_below_one(count, key):
     points = np.asarray(core.stratified(key, count, shape=(4000,)))
     assert (points >= 0).all() and (points < 1).all()

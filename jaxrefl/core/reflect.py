@@ -38,7 +38,8 @@ def refract(
         eta: Index of refraction of the far side over that of the viewer's side, > 0.
     Returns:
         Unit directions on the far side, and False at total internal reflection, where the direction is the mirror's.
-    Edge cases: eta = 1 goes straight on, eta >= 1 is always valid. At the critical angle the gradient is cut to 0 (it diverges).
+    Edge cases: eta = 1 goes straight on; eta >= 1 is always valid. The gradient diverges towards the critical angle; at
+    it, it is 0.
     """
     cos = dot(wo, n)
     n = jnp.where(cos[..., None] < 0, -n, n)
