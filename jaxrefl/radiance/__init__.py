@@ -1,5 +1,12 @@
-from .direct import DirectOptions as DirectOptions
+from .direct import arriving_light as arriving_light
+from .direct import background as background
 from .direct import direct_light as direct_light
+from .direct import outgoing_light as outgoing_light
 from .incoming import Incoming as Incoming
 from .incoming import IncomingOptions as IncomingOptions
 from .incoming import incoming as incoming
+from .light_samples import DirectOptions as DirectOptions
+from .light_samples import LightSamples as LightSamples
+from .light_samples import Receivers as Receivers
+from .light_samples import receivers_of as receivers_of
+from .light_samples import sample_lights as sample_lights
