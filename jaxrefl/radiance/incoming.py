@@ -90,22 +90,19 @@ def incoming(
     follow_mirrors = options.bounces if scene.features.planar or scene.features.curved else 0
     follow_glass = options.interfaces if scene.features.refractive else 0
     path = _start(rays, active, follow_mirrors, follow_glass)
-    path, first = _follow(scene, tracer, path, key, options=options)
-    for depth in range(1, follow_mirrors + follow_glass + 1):
-        if not path.active.any():
-            break
-        path, _ = _follow(scene, tracer, path, jax.random.fold_in(key, depth), options=options)
-    return Incoming(path.radiance, first.valid, first.p, first.t)
-
-
-def _follow(
-    scene: Scene, tracer: Tracer, path: _Path, key: Array, *, options: IncomingOptions
-) -> tuple[_Path, GBuffer]:
-    """One segment of the path: cast, shade, go on."""
-    key_light, key_lobe = jax.random.split(key)
-    points = build_gbuffer(scene, path.rays, tracer.closest(path.rays, active=path.active))
-    light = direct_light(scene, tracer, points, key_light, options=options.light)
-    return _advance(scene, path, points, light, key_lobe), points
+    first: list[GBuffer] = []
+    for depth in range(follow_mirrors + follow_glass + 1):
+        key_light, key_lobe = jax.random.split(jax.random.fold_in(key, depth))
+        points = build_gbuffer(scene, path.rays, tracer.closest(path.rays, active=path.active))
+        light = direct_light(scene, tracer, points, key_light, options=options.light)
+        first = first or [points]
+        if depth == follow_mirrors + follow_glass:
+            path = _finish(scene, path, points, light)
+        else:
+            path = _advance(scene, path, points, light, key_lobe)
+            if not path.active.any():
+                break
+    return Incoming(path.radiance, first[0].valid, first[0].p, first[0].t)
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))
@@ -116,45 +113,52 @@ def _start(rays: Rays, active: Array, bounces: int, interfaces: int) -> _Path:
 
 
 @jax.jit
+def _finish(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"]) -> _Path:
+    """Add what the path sees at its hit, and end it."""
+    radiance, _ = _gather(scene, path, points, light, path.active)
+    return dataclasses.replace(path, radiance=radiance, active=jnp.zeros_like(path.active))
+
+
+@jax.jit
 def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], key: Array) -> _Path:
     """Add what the path sees at its hit and send it on where it has somewhere to go."""
     seen = path.active & points.valid
-    specular = specular_weight(points)
-    through = transmission_weight(points, specular)
-    emission = 0.0 if points.emission is None else points.emission
-    throughput = path.throughput * _absorption(scene, path.rays, points)
-
     refracts = seen & (path.interfaces > 0) & refractive(points)
     mirrors = seen & (path.bounces > 0) & reflective(points) & ~refracts
-    ends = seen & ~refracts & ~mirrors
-    ambient = jnp.broadcast_to(scene.lights.ambient, light.shape)
-    surface = emission + (1 - specular) * (light - emission) + jnp.where(ends[..., None], specular * ambient, 0)
-    arrived = jnp.where(points.valid[..., None], surface, light)
-    radiance = path.radiance + jnp.where(path.active[..., None], throughput * arrived, 0)
+    goes_on = refracts | mirrors
+    radiance, specular = _gather(scene, path, points, light, seen & ~goes_on)
+    throughput = path.throughput * _absorption(scene, path.rays, points)
 
     key_reflect, key_refract = jax.random.split(key)
     n = seen.shape[0]
-    wi, lobe = sample_reflection(points, jax.random.uniform(key_reflect, (n, 2)))
-    weight = specular * jnp.where(lobe > 0, 1.0, 0.0)[..., None]
+    wi, _ = sample_reflection(points, jax.random.uniform(key_reflect, (n, 2)))
+    weight = specular
     if points.transmission is not None:
         thin = scene.materials.thin[jnp.maximum(points.material, 0)]
         wt = sample_refraction(points, thin, jax.random.uniform(key_refract, (n, 2)))
-        turned_back = dot(wt, points.n) > 0
         wi = jnp.where(refracts[..., None], wt, wi)
-        weight = jnp.where(refracts[..., None], jnp.where(turned_back[..., None], 1.0, through), weight)
-    goes_on = refracts | mirrors
+        turned_back = dot(wt, points.n) > 0
+        through = jnp.where(turned_back[..., None], 1.0, transmission_weight(points, specular))
+        weight = jnp.where(refracts[..., None], through, weight)
     origin = offset_origin(points.p, points.n, points.p_error, wi)
     rays = Rays(
         jnp.where(goes_on[..., None], origin, path.rays.origin), jnp.where(goes_on[..., None], wi, path.rays.direction)
     )
-    return _Path(
-        rays,
-        goes_on,
-        throughput * weight,
-        radiance,
-        path.bounces - mirrors.astype(jnp.int32),
-        path.interfaces - refracts.astype(jnp.int32),
-    )
+    bounces, interfaces = path.bounces - mirrors.astype(jnp.int32), path.interfaces - refracts.astype(jnp.int32)
+    return _Path(rays, goes_on, throughput * weight, radiance, bounces, interfaces)
+
+
+def _gather(
+    scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], ends: Bool[Array, "n"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Radiance of the path with what it sees at its hit, and the specular weight there."""
+    specular = specular_weight(points)
+    emission = 0.0 if points.emission is None else points.emission
+    ambient = jnp.broadcast_to(scene.lights.ambient, light.shape)
+    surface = emission + (1 - specular) * (light - emission) + jnp.where(ends[..., None], specular * ambient, 0)
+    arrived = jnp.where(points.valid[..., None], surface, light) * _absorption(scene, path.rays, points)
+    radiance = path.radiance + jnp.where(path.active[..., None], path.throughput * arrived, 0)
+    return radiance, specular
 
 
 def _absorption(scene: Scene, rays: Rays, points: GBuffer) -> Float[Array, "n 3"]:
