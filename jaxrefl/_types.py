@@ -149,6 +149,8 @@ class AreaLights(eqx.Module):
     """Probability of each triangle; sums to 1."""
     area: Float[Array, "e"]
     """Triangle areas, world units squared."""
+    textured: bool = eqx.field(static=True, default=False)
+    """True: some of them have an emission texture; static, so that others are not looked up."""
 
 
 class PunctualLights(eqx.Module):

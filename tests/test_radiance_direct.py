@@ -339,20 +339,18 @@ def test_blocks_and_batch_shape_change_nothing(key: jax.Array, monkeypatch: pyte
     np.testing.assert_array_equal(direct_light(scene, Clear(), gbuffer, key), whole)
 
 
-def test_counts_and_values_compile_once(key: jax.Array, monkeypatch: pytest.MonkeyPatch):
-    traced = []
+def test_counts_and_values_compile_once(key: jax.Array):
+    def compiled() -> tuple[int, ...]:
+        stages = (direct._light_points, direct._shadow_rays, direct.arriving_light, direct.outgoing_light)
+        return tuple(stage._cache_size() for stage in stages)
 
-    def counted(*args, **kwargs):
-        traced.append(1)
-        return sample_lights(*args, **kwargs)
-
-    monkeypatch.setattr(direct, "sample_lights", counted)
-    options = DirectOptions(punctual_samples=3)
+    options, counts = DirectOptions(punctual_samples=3), []
     for valid in (900, 5, 300):
         scene = scene_of(lights=[PunctualLight("lamp", (1, 1, valid), (0.1, 1.0, 0.2))])
         gbuffer = eqx.tree_at(lambda g: g.valid, points(grid(30) * valid), jnp.arange(900) < valid)
         direct_light(scene, Clear(), gbuffer, jax.random.key(valid), options=options)
-    assert len(traced) == 1
+        counts.append(compiled())
+    assert counts[0] == counts[1] == counts[2]
 
 
 def test_absent_lights_cost_nothing(key: jax.Array):

@@ -44,6 +44,7 @@ def test_area_lights_are_chosen_by_power():
         square("small", emitter("green", (0, 4, 0))),
     )
     assert lights.area is not None
+    assert not lights.area.textured
     np.testing.assert_array_equal(lights.area.triangle, [2, 3, 4, 5])
     np.testing.assert_allclose(lights.area.area, [2, 2, 0.5, 0.5])
     power = np.array([2, 2, 2 * 0.7152, 2 * 0.7152])  # area times luminance
@@ -60,7 +61,19 @@ def test_emission_textures_count_triangle_by_triangle():
     assert lights.area is not None
     dark, bright = np.asarray(lights.area.probability)
     whole = 0.5  # mean of the texture; 0.1 of it is what even a dark triangle counts
+    assert lights.area.textured
     assert bright / dark == pytest.approx((0.9 * 1 + 0.1 * whole) / (0.1 * whole), rel=0.1)
+
+
+def test_triangles_in_the_black_of_their_texture_are_no_lights():
+    """Of two panels on one texture only the one with a bright texel somewhere below it shines, however small that is."""
+    rgba = np.zeros((64, 64, 4), np.uint8)
+    rgba[10, 10] = 255
+    lamp = dataclasses.replace(emitter("lamp", (3, 3, 3)), emission_texture=Image("lamp.png", rgba))
+    uv = 0.4 * CORNERS[:, [0, 2]] + 0.05
+    lights = lights_of(square("dark", lamp, uv=uv + 0.5), square("lit", lamp, uv=uv))
+    assert lights.area is not None
+    assert set(np.asarray(lights.area.triangle).tolist()) == {2, 3}
 
 
 def test_a_black_emission_texture_is_no_light():

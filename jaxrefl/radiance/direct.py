@@ -5,10 +5,10 @@ The two jitted halves are public for those who cast the shadow rays themselves o
 only geometry, `outgoing_light` is linear in the irradiance and differentiable in every material parameter.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -16,11 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrefl._types import GBuffer, Lights, Scene, Tracer
 from jaxrefl.radiance.light_samples import (
     DirectOptions,
+    LightPoints,
     LightSamples,
     Receivers,
     receivers_of,
-    sample_lights,
+    sample_light_points,
     samples_per_point,
+    shadow_rays,
 )
 from jaxrefl.rays.blocks import blocks_of, put_block, take_block
 from jaxrefl.scene.environment import environment_radiance
@@ -135,13 +137,20 @@ def arriving_light(samples: LightSamples, occluded: Bool[Array, "s n"]) -> Float
     return jax.lax.scan(add, nothing, (samples.irradiance, occluded))[0]
 
 
-@eqx.filter_jit
 def _samples(
     scene: Scene, receivers: Receivers, index: Int[Array, "n"], key: Array, options: DirectOptions
 ) -> LightSamples | None:
     """Light samples of one block; its padding (index -1) gets no rays."""
-    receivers = eqx.tree_at(lambda r: r.valid, receivers, receivers.valid & (index >= 0))
-    return sample_lights(scene, receivers, key, options=options)
+    points = _light_points(scene, receivers, key, options=options)
+    return None if points is None else _shadow_rays(receivers, points, index)
+
+
+_light_points = jax.jit(sample_light_points, static_argnames="options")
+
+
+@jax.jit
+def _shadow_rays(receivers: Receivers, points: LightPoints, index: Int[Array, "n"]) -> LightSamples:
+    return shadow_rays(dataclasses.replace(receivers, valid=receivers.valid & (index >= 0)), points)
 
 
 def _one_ahead(items: Iterator[T]) -> Iterator[T]:

@@ -71,6 +71,7 @@ def _area_lights(mesh: Mesh, materials: Materials, textures: Textures | None) ->
         cdf=jnp.asarray(cdf),
         probability=jnp.asarray(probability),
         area=jnp.asarray(area[kept], jnp.float32),
+        textured=bool((np.asarray(materials.emission_texture)[material[kept]] >= 0).any()),
     )
 
 
@@ -94,8 +95,29 @@ def _texture_factors(
         total = area[textured][same].sum()
         whole = (own[same] * area[textured][same, None]).sum(0) / (total if total > 0 else 1)
         own[same] = (1 - _FLOOR) * own[same] + _FLOOR * whole
+    own[_all_dark(textures, texture[textured], corner_uv)] = 0
     factors[textured] = own
     return factors
+
+
+def _all_dark(textures: Textures, texture: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
+    """Which triangles [e 3 2] lie where their texture is exactly black: they never shine and need no samples.
+
+    All texels are checked that bilinear filtering may touch within the triangle's bounding box; a box that leaves the
+    image counts as not dark.
+    """
+    dark = np.zeros(len(texture), bool)
+    for index in np.unique(texture):
+        start, w, h = (int(x[index]) for x in (textures.offset, textures.width, textures.height))
+        lit = np.asarray(textures.texels)[start : start + w * h, :3].any(-1).reshape(h, w)
+        count = np.pad(lit.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+        rows = np.flatnonzero(texture == index)
+        texel = corner_uv[rows] * (w, h) - 0.5
+        (x0, y0), (x1, y1) = np.floor(texel.min(1)).astype(int).T, np.floor(texel.max(1)).astype(int).T + 2
+        within = (x0 >= 0) & (y0 >= 0) & (x1 <= w) & (y1 <= h)
+        x0, x1, y0, y1 = (np.clip(x, 0, most) for x, most in ((x0, w), (x1, w), (y0, h), (y1, h)))
+        dark[rows] = within & (count[y1, x1] - count[y0, x1] - count[y1, x0] + count[y0, x0] == 0)
+    return dark
 
 
 def _texture_means(textures: Textures, texture: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
