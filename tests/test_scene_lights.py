@@ -66,7 +66,7 @@ def test_emission_textures_count_triangle_by_triangle():
 
 
 def test_triangles_in_the_black_of_their_texture_are_no_lights():
-    """Of two panels on one texture only the one with a bright texel somewhere below it shines, however small that is."""
+    """Of two panels on one texture only the one with a bright texel in its range shines, however small that is."""
     rgba = np.zeros((64, 64, 4), np.uint8)
     rgba[10, 10] = 255
     lamp = dataclasses.replace(emitter("lamp", (3, 3, 3)), emission_texture=Image("lamp.png", rgba))

@@ -13,12 +13,12 @@ from jaxrefl.scene.description import Description, PunctualLight
 from jaxrefl.scene.distributions import distribution
 from jaxrefl.scene.environment import build_environment
 from jaxrefl.scene.errors import SceneError
-from jaxrefl.scene.textures import texture_rgba
+from jaxrefl.scene.textures import DECODED, texture_rgba
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FLOOR = 0.1
-"""Share of an emission texture's mean over the whole material that every triangle keeps, so that a bright spot that the
-points of `_texture_means` miss is still sampled."""
+"""Share of its emission texture's overall mean that every triangle is given, so that a bright spot that the points of
+`_texture_means` miss is still sampled."""
 
 
 def build_lights(
@@ -58,7 +58,7 @@ def _area_lights(mesh: Mesh, materials: Materials, textures: Textures | None) ->
     material = material[triangle]
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)[triangle]]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1) / 2
-    power = area * (emission[material] * _texture_factors(mesh, materials, textures, triangle, area) @ _LUMINANCE)
+    power = area * (emission[material] * _texture_factors(mesh, materials, textures, triangle) @ _LUMINANCE)
 
     kept = power > 0
     if not kept.any():
@@ -75,9 +75,7 @@ def _area_lights(mesh: Mesh, materials: Materials, textures: Textures | None) ->
     )
 
 
-def _texture_factors(
-    mesh: Mesh, materials: Materials, textures: Textures | None, triangle: np.ndarray, area: np.ndarray
-) -> np.ndarray:
+def _texture_factors(mesh: Mesh, materials: Materials, textures: Textures | None, triangle: np.ndarray) -> np.ndarray:
     """Mean of the emission texture over each emissive triangle: [e 3], 1 without a texture."""
     factors = np.ones((len(triangle), 3))
     material = np.asarray(mesh.material)[triangle]
@@ -89,35 +87,43 @@ def _texture_factors(
         missing = "textures" if textures is None else "texture coordinates"
         raise SceneError(f"lights: a material has an emission texture, but the scene has no {missing}")
     corner_uv = np.asarray(mesh.uv)[np.asarray(mesh.faces)[triangle[textured]]]
-    own = _texture_means(textures, texture[textured], corner_uv)
-    for row in np.unique(material[textured]):
-        same = material[textured] == row
-        total = area[textured][same].sum()
-        whole = (own[same] * area[textured][same, None]).sum(0) / (total if total > 0 else 1)
-        own[same] = (1 - _FLOOR) * own[same] + _FLOOR * whole
-    own[_all_dark(textures, texture[textured], corner_uv)] = 0
+    texture = texture[textured]
+    own = (1 - _FLOOR) * _texture_means(textures, texture, corner_uv)
+    for index in np.unique(texture).tolist():
+        same = texture == index
+        image = _texels(textures, index)
+        dark = _all_dark(image, corner_uv[same])
+        own[same] = np.where(dark[:, None], 0, own[same] + _FLOOR * _image_mean(image, bool(textures.srgb[index])))
     factors[textured] = own
     return factors
 
 
-def _all_dark(textures: Textures, texture: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
-    """Which triangles [e 3 2] lie where their texture is exactly black: they never shine and need no samples.
+def _texels(textures: Textures, index: int) -> np.ndarray:
+    """RGB of one image: [h w 3] uint8."""
+    start, width, height = (int(x[index]) for x in (textures.offset, textures.width, textures.height))
+    return np.asarray(textures.texels)[start : start + width * height, :3].reshape(height, width, 3)
+
+
+def _image_mean(image: np.ndarray, srgb: bool) -> np.ndarray:
+    """Mean linear colour [3] of an image; positive if any texel is."""
+    counts = np.stack([np.bincount(image[..., channel].ravel(), minlength=256) for channel in range(3)])
+    table = DECODED[256:] if srgb else DECODED[:256]
+    return counts @ table.astype(np.float64) / counts[0].sum()
+
+
+def _all_dark(image: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
+    """Which triangles [e 3 2] lie where their image is exactly black: they never shine and need no samples.
 
     All texels are checked that bilinear filtering may touch within the triangle's bounding box; a box that leaves the
     image counts as not dark.
     """
-    dark = np.zeros(len(texture), bool)
-    for index in np.unique(texture):
-        start, w, h = (int(x[index]) for x in (textures.offset, textures.width, textures.height))
-        lit = np.asarray(textures.texels)[start : start + w * h, :3].any(-1).reshape(h, w)
-        count = np.pad(lit.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-        rows = np.flatnonzero(texture == index)
-        texel = corner_uv[rows] * (w, h) - 0.5
-        (x0, y0), (x1, y1) = np.floor(texel.min(1)).astype(int).T, np.floor(texel.max(1)).astype(int).T + 2
-        within = (x0 >= 0) & (y0 >= 0) & (x1 <= w) & (y1 <= h)
-        x0, x1, y0, y1 = (np.clip(x, 0, most) for x, most in ((x0, w), (x1, w), (y0, h), (y1, h)))
-        dark[rows] = within & (count[y1, x1] - count[y0, x1] - count[y1, x0] + count[y0, x0] == 0)
-    return dark
+    h, w, _ = image.shape
+    count = np.pad(image.any(-1).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    texel = corner_uv * (w, h) - 0.5
+    (x0, y0), (x1, y1) = np.floor(texel.min(1)).astype(int).T, np.floor(texel.max(1)).astype(int).T + 2
+    within = (x0 >= 0) & (y0 >= 0) & (x1 <= w) & (y1 <= h)
+    x0, x1, y0, y1 = (np.clip(x, 0, most) for x, most in ((x0, w), (x1, w), (y0, h), (y1, h)))
+    return within & (count[y1, x1] - count[y0, x1] - count[y1, x0] + count[y0, x0] == 0)
 
 
 def _texture_means(textures: Textures, texture: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:

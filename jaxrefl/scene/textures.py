@@ -69,7 +69,7 @@ def texture_rgba(textures: Textures, index: Int[Array, "*b"], uv: Float[Array, "
     # One table for both codings: entry 256 * is_srgb + byte.
     coding = jnp.where(textures.srgb[image], 256, 0)
     offsets = jnp.stack([coding, coding, coding, jnp.zeros_like(coding)], -1)
-    table = jnp.asarray(_DECODED)
+    table = jnp.asarray(DECODED)
 
     def texel(row: Array, column: Array) -> Array:
         return table[textures.texels[row + column].astype(jnp.int32) + offsets]
@@ -100,4 +100,5 @@ def _decoding_table() -> np.ndarray:
     return np.concatenate([linear, decoded]).astype(np.float32)
 
 
-_DECODED = _decoding_table()
+DECODED = _decoding_table()
+"""Linear values of the bytes 0 to 255: first as they are, then sRGB-coded."""
