@@ -10,7 +10,7 @@ help:  ## List the targets
 demo:  ## Render a built-in scene along a camera path and write a report
 	@.ci/setup
 	@.venv/bin/jaxrefl compare mirror_room --techniques raytrace envmap --reference raytrace \
-		--frames 12 --size 480 270 --out $(OUT)
+		--frames 12 --size 480 270 --light.area-samples 32 --out $(OUT)
 	@echo "The report is in $(CURDIR)/$(OUT)/report.html"
 
 test:  ## Run the test suite

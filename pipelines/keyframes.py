@@ -8,8 +8,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from jaxrefl._types import Camera
 from jaxrefl.core.cameras import look_at, perspective
@@ -99,6 +97,9 @@ def catmull_rom(times: np.ndarray, values: np.ndarray, at: np.ndarray, *, closed
         [n ...] values; the keys at their times, and straight lines where keys lie on one at even times.
     Edge cases: a single key gives its value everywhere.
     """
+    # Imported where it is needed: it would add half a second to the start of every command.
+    from scipy.interpolate import CubicHermiteSpline
+
     if len(times) == 1:
         return np.broadcast_to(values[0], (len(at), *values.shape[1:])).copy()
     spread = (slice(None),) + (None,) * (values.ndim - 1)
@@ -123,6 +124,8 @@ def rotations(times: np.ndarray, quaternions: np.ndarray, at: np.ndarray) -> np.
         [n 3 3] rotation matrices; two keys give the turn at constant speed (slerp).
     Edge cases: a single key gives its rotation everywhere.
     """
+    from scipy.spatial.transform import Rotation, RotationSpline
+
     keys = Rotation.from_quat(quaternions, scalar_first=True)
     if len(times) == 1:
         return np.broadcast_to(keys.as_matrix()[0], (len(at), 3, 3)).copy()
