@@ -104,6 +104,8 @@ class Materials(eqx.Module):
     """Factor on the x and y of the normal map."""
     emission_texture: Int[Array, "m"]
     """Row in `Textures` (sRGB), -1 for none."""
+    textured: tuple[str, ...] = eqx.field(static=True)
+    """Names of the texture columns that any material uses; the others are not looked up."""
 
 
 class Textures(eqx.Module):

@@ -116,16 +116,15 @@ def material_table(materials: list[Material]) -> tuple[Materials, list[tuple[Ima
             pool.append((image, srgb))
         return images[key]
 
-    textures = {
-        slot: jnp.asarray([row(getattr(m, slot), srgb) for m in materials], jnp.int32)
-        for slot, srgb in _TEXTURES.items()
-    }
+    rows = {slot: [row(getattr(m, slot), srgb) for m in materials] for slot, srgb in _TEXTURES.items()}
+    textures = {slot: jnp.asarray(column, jnp.int32) for slot, column in rows.items()}
+    used = tuple(slot for slot, column in rows.items() if max(column) >= 0)
     numbers = {
         name: jnp.asarray([getattr(m, name) for m in materials], jnp.float32)
         for name in ("base_colour metallic alpha eta transmission attenuation emission normal_scale".split())
     }
     thin = jnp.asarray([m.thin for m in materials], bool)
-    return Materials(thin=thin, **numbers, **textures), pool
+    return Materials(thin=thin, **numbers, **textures, textured=used), pool
 
 
 def _key(material: Material) -> tuple:

@@ -45,12 +45,13 @@ def sample_material(
     base_colour = table.base_colour[material]
     metallic, alpha = table.metallic[material], table.alpha[material]
     emission = table.emission[material] if scene.features.emissive else None
-    if scene.features.textured and scene.textures is not None and uv is not None:
-        base_colour = base_colour * texture_rgba(scene.textures, table.base_colour_texture[material], uv)[..., :3]
-        packed = texture_rgba(scene.textures, table.metallic_roughness_texture[material], uv)
+    if "base_colour_texture" in table.textured:
+        base_colour = base_colour * _texture(scene, table.base_colour_texture[material], uv)[..., :3]
+    if "metallic_roughness_texture" in table.textured:
+        packed = _texture(scene, table.metallic_roughness_texture[material], uv)
         metallic, alpha = metallic * packed[..., 2], alpha * packed[..., 1] ** 2
-        if emission is not None:
-            emission = emission * texture_rgba(scene.textures, table.emission_texture[material], uv)[..., :3]
+    if "emission_texture" in table.textured and emission is not None:
+        emission = emission * _texture(scene, table.emission_texture[material], uv)[..., :3]
     if scene.features.vertex_coloured and scene.mesh.colours is not None:
         base_colour = base_colour * interpolate(scene.mesh.colours, corners, hits)
     transmission = table.transmission[material] if scene.features.refractive else None
@@ -62,6 +63,12 @@ def sample_material(
         emission=None if emission is None else jnp.where(valid[..., None], emission, 0),
         transmission=None if transmission is None else jnp.where(valid, transmission, 0),
     )
+
+
+def _texture(scene: Scene, index: Int[Array, "*b"], uv: Float[Array, "*b 2"] | None) -> Float[Array, "*b 4"]:
+    if scene.textures is None or uv is None:
+        raise ValueError("scene: a material has a texture, but the scene has no textures or no texture coordinates")
+    return texture_rgba(scene.textures, index, uv)
 
 
 def apply_normal_map(
