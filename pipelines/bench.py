@@ -23,6 +23,8 @@ from jaxrefl.core import resize
 from jaxrefl.rays import EmbreeTracer, camera_rays
 from jaxrefl.scene import assemble
 from jaxrefl.surface import look
+from pipelines.bench_energy import bench_energy
+from pipelines.bench_main_job import run_main_job
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
@@ -187,7 +189,7 @@ def table(rows: list[dict]) -> str:
         The table.
     """
     keys = list(rows[0])
-    shown = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    shown = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
     head = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
     return "\n".join(head + ["| " + " | ".join(line) + " |" for line in shown])
 
@@ -204,7 +206,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--runs", type=int, default=9, help="counted runs of each case")
     parser.add_argument("--quick", action="store_true", help="small cases, to see that it works")
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder for bench.json and bench.md")
+    parser.add_argument("--main-job", type=Path, help="instead: run the main job on real scenes into this folder")
     arguments = parser.parse_args(argv)
+    if arguments.main_job:
+        rows, commands = run_main_job(arguments.main_job)
+        _write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
+        return 0
     sides, triangles = ((64, 128), (1_000, 10_000)) if arguments.quick else (SIDES, TRIANGLES)
 
     # Memory first: the peak of a child counts from the largest child there has been.
@@ -212,27 +219,28 @@ def main(argv: list[str]) -> int:
     memory = bench_memory(10_000 if arguments.quick else 300_000, size)
     start = bench_first_frame(1 if arguments.quick else 3)
     rays = bench_rays(sides, triangles, arguments.runs)
-    result = {
-        "command": " ".join(["jaxrefl", "bench", *argv]),
-        "versions": versions(),
-        "hardware": hardware(),
-        "scene": SCENE,
-        "rays": rays,
-        "pixels": growth(rays, "side"),
-        "triangles": growth(rays, "triangles"),
-        "memory": memory,
-        "first_frame": start,
-    }
     sections = {
         f"embreex alone (`bare`) and rays + surface (`whole`), `{SCENE}`": rays,
-        "Growth with pixels (exponent 1 is linear)": result["pixels"],
-        "Growth with triangles (exponent 0 is constant)": result["triangles"],
+        "Growth with pixels (exponent 1 is linear)": growth(rays, "side"),
+        "Growth with triangles (exponent 0 is constant)": growth(rays, "triangles"),
         "Peak memory of a process that renders one frame": [memory],
         "Time from starting the process to the first frame on disk": [start],
     }
-    text = "\n\n".join(f"**{title}**\n\n{table(rows)}" for title, rows in sections.items() if rows)
-    print(text)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "bench.json").write_text(json.dumps(result, indent=1) + "\n")
-    (arguments.out / "bench.md").write_text(text + "\n")
+    _write(arguments.out, "bench", argv, sections, ["jaxrefl bench"])
+    energy = bench_energy((96, 54), 4) if arguments.quick else bench_energy((960, 540), 32)
+    _write(arguments.out, "energy", argv, {"The furnace: every mean should be 1": energy}, ["jaxrefl bench"])
     return 0
+
+
+def _write(out: Path, name: str, argv: list[str], sections: dict[str, list[dict]], commands: list[str]) -> None:
+    """Print the tables; keep them as Markdown for the documentation and as JSON with what they were measured on."""
+    machine = hardware()
+    where = f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gib']} GiB"
+    parts = [f"**{title}**\n\n{table(rows)}" for title, rows in sections.items() if rows]
+    parts.append("Commands: " + "; ".join(f"`{command}`" for command in commands) + f". Seed 0. Measured on {where}.")
+    text = "\n\n".join(parts)
+    print(text)
+    out.mkdir(parents=True, exist_ok=True)
+    stamp = {"command": " ".join(["jaxrefl", "bench", *argv]), "versions": versions(), "hardware": machine, "seed": 0}
+    (out / f"{name}.json").write_text(json.dumps({"stamp": stamp, "commands": commands, **sections}, indent=1) + "\n")
+    (out / f"{name}.md").write_text(text + "\n")

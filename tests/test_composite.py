@@ -24,7 +24,7 @@ ENERGY = 5e-3
 def one_ball(alpha: float, metallic: float):
     """One white ball in a world of radiance 1."""
     white = glossy("m", (1, 1, 1), alpha=alpha, metallic=metallic)
-    return assemble(Description("furnace", [ball("ball", white)], sky=constant_sky((1.0, 1.0, 1.0))))
+    return assemble(Description("furnace", [ball("ball", white, subdivisions=5)], sky=constant_sky((1.0, 1.0, 1.0))))
 
 
 def assert_constant(image) -> None:

@@ -31,7 +31,8 @@ class BruteTracer:
             rays: Rays [*b].
             active: Which rays to cast; the others come back as misses. None: all.
         Returns:
-            Hits [*b]; of two triangles at exactly the same distance the one with the lower index.
+            Hits [*b], at distances from 0 on as Embree has them; of two triangles at exactly the same distance the one
+                with the lower index.
         """
         if active is None:
             active = jnp.ones(rays.origin.shape[:-1], bool)
@@ -95,7 +96,7 @@ def _intersect(corners: Float[Array, "f 3 3"], origin: Float[Array, "3"], direct
     proper = total != 0
     inverse = 1 / jnp.where(proper, total, 1)
     t = (w0 * depth[:, 0] + w1 * depth[:, 1] + w2 * depth[:, 2]) * inverse
-    return t, w1 * inverse, w2 * inverse, inside & proper & (t > 0)
+    return t, w1 * inverse, w2 * inverse, inside & proper & (t >= 0)
 
 
 def _edge(ax: Array, ay: Array, bx: Array, by: Array) -> Array:

@@ -107,7 +107,7 @@ def _materials(scene: Scene) -> list[dict[str, Any]]:
     table = scene.materials
     counts = np.bincount(np.asarray(scene.mesh.material), minlength=len(scene.names.materials))
     reflective = reflective_materials(table)
-    columns = {name: np.asarray(value) for name, value in vars(table).items()}
+    columns = {name: np.asarray(value) for name, value in vars(table).items() if name != "textured"}
     return [
         {"name": name, "triangles": int(counts[i]), "reflective": bool(reflective[i])}
         | {column: values[i].tolist() for column, values in columns.items()}

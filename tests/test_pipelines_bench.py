@@ -1,0 +1,43 @@
+"""The benchmarks' arithmetic, and that they run."""
+
+import json
+
+import pytest
+
+from pipelines.bench import growth, interleaved, main, table
+
+
+def test_growth_finds_exponents():
+    rows = [
+        {"triangles": n, "side": side, "bare_ms": 2.0 * side**2, "whole_ms": 3.0 * side}
+        for n in (10, 1000)
+        for side in (8, 32)
+    ]
+    pixels = growth(rows, "side")
+    assert [row["triangles"] for row in pixels] == [10, 1000]
+    assert pixels[0]["bare_exponent"] == pytest.approx(1) and pixels[0]["whole_exponent"] == pytest.approx(0.5)
+    assert growth(rows, "triangles")[0]["whole_times"] == pytest.approx(1)
+
+
+def test_runs_are_interleaved_and_the_first_does_not_count():
+    order = []
+    medians = interleaved(3, lambda: order.append("a"), lambda: order.append("b"))
+    assert order == ["a", "b"] * 4 and len(medians) == 2 and min(medians) > 0
+
+
+def test_tables_are_markdown():
+    assert table([{"a": 1, "b": 0.123456}]) == "| a | b |\n|---|---|\n| 1 | 0.1235 |"
+
+
+def test_the_main_job_needs_its_scenes(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXREFL_SCENES", str(tmp_path))
+    with pytest.raises(ValueError, match="JAXREFL_SCENES: expected a folder with cornell-obj"):
+        main(["--main-job", str(tmp_path / "out")])
+
+
+@pytest.mark.slow
+def test_a_quick_benchmark_writes_its_tables(tmp_path):
+    assert main(["--quick", "--runs", "1", "--out", str(tmp_path)]) == 0
+    for name in ("bench", "energy"):
+        assert (tmp_path / f"{name}.md").read_text().startswith("**")
+        assert json.loads((tmp_path / f"{name}.json").read_text())["stamp"]["hardware"]
