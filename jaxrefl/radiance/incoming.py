@@ -99,7 +99,7 @@ def incoming(
         if depth == follow_mirrors + follow_glass:
             path = _finish(scene, path, points, light)
         else:
-            path = _advance(scene, path, points, light, key_lobe)
+            path = _advance(scene, path, points, light, key_lobe, follow_mirrors > 0)
             if not path.active.any():
                 break
     return Incoming(path.radiance, first[0].valid, first[0].p, first[0].t)
@@ -119,9 +119,11 @@ def _finish(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3
     return dataclasses.replace(path, radiance=radiance, active=jnp.zeros_like(path.active))
 
 
-@jax.jit
-def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], key: Array) -> _Path:
-    """Add what the path sees at its hit and send it on where it has somewhere to go."""
+@functools.partial(jax.jit, static_argnums=5)
+def _advance(
+    scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 3"], key: Array, bouncing: bool
+) -> _Path:
+    """Add what the path sees at its hit and send it on where it has somewhere to go; mirrors only if `bouncing`."""
     seen = path.active & points.valid
     refracts = seen & (path.interfaces > 0) & refractive(points)
     mirrors = seen & (path.bounces > 0) & reflective(points) & ~refracts
@@ -131,8 +133,9 @@ def _advance(scene: Scene, path: _Path, points: GBuffer, light: Float[Array, "n 
 
     key_reflect, key_refract = jax.random.split(key)
     n = seen.shape[0]
-    wi, _ = sample_reflection(points, jax.random.uniform(key_reflect, (n, 2)))
-    weight = specular
+    wi, weight = path.rays.direction, specular
+    if bouncing:
+        wi, _ = sample_reflection(points, jax.random.uniform(key_reflect, (n, 2)))
     if points.transmission is not None:
         thin = scene.materials.thin[jnp.maximum(points.material, 0)]
         wt = sample_refraction(points, thin, jax.random.uniform(key_refract, (n, 2)))

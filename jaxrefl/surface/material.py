@@ -5,6 +5,7 @@ What the scene does not have (`Scene.features`) is not looked up: an untextured 
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -66,9 +67,16 @@ def sample_material(
 
 
 def _texture(scene: Scene, index: Int[Array, "*b"], uv: Float[Array, "*b 2"] | None) -> Float[Array, "*b 4"]:
-    if scene.textures is None or uv is None:
+    """Texture values; where no element has a texture there is no lookup.
+
+    The branch also keeps XLA from computing the lookup again for each result that depends on it.
+    """
+    textures = scene.textures
+    if textures is None or uv is None:
         raise ValueError("scene: a material has a texture, but the scene has no textures or no texture coordinates")
-    return texture_rgba(scene.textures, index, uv)
+    return jax.lax.cond(
+        (index >= 0).any(), lambda: texture_rgba(textures, index, uv), lambda: jnp.ones((*index.shape, 4), uv.dtype)
+    )
 
 
 def apply_normal_map(
@@ -95,7 +103,7 @@ def apply_normal_map(
     if scene.textures is None or scene.mesh.tangents is None:
         return ns
     index = scene.materials.normal_texture[material]
-    rgb = 2 * texture_rgba(scene.textures, index, uv)[..., :3] - 1
+    rgb = 2 * _texture(scene, index, uv)[..., :3] - 1
     scale = scene.materials.normal_scale[material]
     tangent = interpolate(scene.mesh.tangents, corners, hits)
     t = tangent[..., :3] - ns * dot(ns, tangent[..., :3])[..., None]
