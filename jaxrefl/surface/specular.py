@@ -121,8 +121,8 @@ def specular_weight(
     Args:
         gbuffer: Any G-buffer.
         fresnel: "exact" dielectric equations, or "schlick" as in glTF and most game engines; metals use Schlick.
-        multiple_scattering: Add the light that leaves after several bounces between microfacets. Without it a white
-            metal loses up to 60 % at alpha 1, as it does in renderers with single scattering.
+        multiple_scattering: Add the light that leaves after several bounces between microfacets. Without it a rough
+            white metal loses about half, as it does in renderers with single scattering.
     Returns:
         Weight per channel, in [0, 1]; 0 where the surface is not reflective.
     Raises:
