@@ -24,7 +24,7 @@ Examples:
   jaxrefl render scene.glb --environment sky.hdr --frames 24 --size 960 540 --out results/scene
   jaxrefl render teapot_room --parameters triangles=100000 --raytrace.samples 16 --out results/teapot
   jaxrefl render scene.obj --camera.file transforms.json --out results/path
-  jaxrefl render --job job.toml --out results/job
+  jaxrefl render --job job.toml
 """
 
 COMPARE_HELP = """Render a scene with several techniques and measure their errors against a reference.
@@ -73,7 +73,9 @@ def _run(base: type, argv: Sequence[str], name: str, help: str) -> int:
 
     flags, job = parse(base, argv, prog=f"jaxrefl {name}", description=help)
     command = shlex.join(["jaxrefl", name, *argv])
-    result = run_job(job_of(flags, job), flags.out, scheduler=flags.scheduler, command=command)
+    made = job_of(flags, job)
+    out = flags.out or Path("results") / Path(flags.job or made.scene.source).stem
+    result = run_job(made, out, scheduler=flags.scheduler, command=command)
     _summary(result)
     return 0
 

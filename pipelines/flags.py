@@ -41,7 +41,11 @@ SizeFlag = Annotated[
 Samples = Annotated[int | None, *_optional(int, "N", "16 times the technique's own, at least 64")]
 SceneName = Annotated[str | None, *_optional(str, "SCENE", "the job's")]
 Pairs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="(default: the defaults)")]
-OutFolder = Annotated[Path, tyro.conf.arg(metavar="DIR", aliases=["-o"])]
+OutFolder = Annotated[
+    Path | None,
+    _optional(Path, "DIR", "")[0],
+    tyro.conf.arg(aliases=["-o"], help_behavior_hint="(default: results/NAME, after the job file or the scene)"),
+]
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class CameraFlags:
 class RunFlags(SceneFlags):
     """What `render` and `compare` have in common."""
 
-    out: OutFolder = field(default=tyro.MISSING)
+    out: OutFolder = None
     """Results folder; an interrupted run continues in it."""
     job: File = None
     """Job file (TOML); flags replace its values."""

@@ -63,7 +63,7 @@ def _defaults(kind: type, job: Job) -> Any:
         if name in known:
             group: Any = known[name].default_factory
             values[name] = group(**complete(knobs, given, where=f"{job_label(name)}"))
-    return kind(out=tyro.MISSING, **values)
+    return kind(**values)
 
 
 def job_label(group: str) -> str:

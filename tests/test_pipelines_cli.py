@@ -186,7 +186,6 @@ def test_bad_input_gives_one_message_and_a_code(here, capfd, words, said):
 @pytest.mark.parametrize(
     "words",
     [
-        "render cornell",
         "render cornell --out",
         "render cornell --out OUT --frmes 3",
         "render cornell --out OUT --size 3",
@@ -252,3 +251,10 @@ def test_the_whole_way_from_words_to_a_report(tmp_path):
     assert len(rows) == 4 and set(rows[0]["stamp"]["hardware"]) == {"processor", "cores", "memory_gib", "system"}
     assert rows[0]["stamp"]["command"].startswith("jaxrefl compare cornell") and rows[0]["technique"] in TECHNIQUES
     assert all(row["mae255"] is not None and row["compile_seconds"] >= 0 for row in rows)
+
+
+def test_a_job_file_alone_is_enough(here: Path):
+    """`jaxrefl render --job JOB.toml` puts its results into results/JOB."""
+    Path("JOB.toml").write_text('scene = "cornell"\nsize = [16, 9]\nframes = 1\n')
+    assert cli.main(["render", "--job", "JOB.toml"]) == 0
+    assert Path("results/JOB/report.html").exists()
