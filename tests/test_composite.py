@@ -4,16 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from shapes import ball
+from shapes import ball, floor
 
-import scenes
 from jaxrefl._types import Frame, Reflection
 from jaxrefl.composite import Options, blend, tone_map
 from jaxrefl.core import look_at
 from jaxrefl.radiance import DirectOptions, direct_light
 from jaxrefl.rays import EmbreeTracer
 from jaxrefl.scene import assemble
-from jaxrefl.scene.description import Description, constant_sky, glossy
+from jaxrefl.scene.description import Description, constant_sky, emitter, glass, glossy, mirror
 from jaxrefl.surface import look, specular_weight, transmission_weight
 from jaxrefl.techniques import envmap, raytrace
 
@@ -70,8 +69,14 @@ def test_single_scattering_darkens_rough_metal():
 @pytest.fixture(scope="module")
 def layers():
     """A small frame with everything in it: emission, diffuse, mirror, gloss, glass, background."""
-    scene = assemble(scenes.build("teapot_room", triangles=4000, teapot="glass"))
-    camera = scenes.BUILT_IN["teapot_room"].path(1, size=(32, 20))[0]
+    parts = [
+        floor("floor", glossy("varnish", (0.8, 0.5, 0.3), alpha=0.1)),
+        ball("glass", glass("glass", eta=1.5), centre=(-1.2, 1, 0)),
+        ball("mirror", mirror("mirror"), centre=(1.2, 1, 0)),
+        floor("lamp", emitter("lamp", (4.0, 3.0, 2.0)), size=0.7, height=1.9),
+    ]
+    scene = assemble(Description("everything", parts, sky=constant_sky((0.5, 0.6, 0.7))))
+    camera = look_at((0, 2.5, 6), (0, 1, 0), size=(32, 20))
     tracer = EmbreeTracer(scene.mesh)
     gbuffer = look(scene, tracer, camera)
     diffuse = direct_light(scene, tracer, gbuffer, jax.random.key(0), options=DirectOptions())
@@ -89,6 +94,9 @@ def test_the_blend_is_its_formula(layers):
     expected = emission + (1 - e) * (np.asarray(diffuse, np.float64) - emission)
     expected += np.where(np.asarray(reflection.valid)[..., None], e * np.asarray(reflection.radiance), 0)
     assert reflection.transmitted is not None and t.max() > 0.3
+    # Every term has pixels in which leaving it out, or its weight, would show.
+    weighed = (e * np.asarray(diffuse)).max(-1)
+    assert weighed.max() > 0.02 and np.max(emission) > 1 and not np.asarray(gbuffer.valid).all()
     expected += t * np.asarray(reflection.transmitted)
     expected = np.where(np.asarray(gbuffer.valid)[..., None], expected, np.asarray(diffuse))
     np.testing.assert_allclose(image, expected, rtol=1e-4, atol=1e-5)

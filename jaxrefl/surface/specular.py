@@ -15,10 +15,9 @@ from jaxrefl.core import (
     fresnel_dielectric,
     lerp,
     reflect,
+    reflection_weight,
     refract,
     sample_visible_normal,
-    smith_g1,
-    smith_g2,
     to_local,
     to_world,
 )
@@ -181,7 +180,7 @@ def sample_reflection(gbuffer: GBuffer, u: Float[Array, "*b 2"]) -> tuple[Float[
     """
     wo = to_local(gbuffer.wo, gbuffer.ns)
     wi = reflect(wo, sample_visible_normal(wo, gbuffer.alpha, u))
-    ratio = smith_g2(wo[..., 2], wi[..., 2], gbuffer.alpha) / jnp.maximum(smith_g1(wo[..., 2], gbuffer.alpha), 1e-6)
+    ratio = reflection_weight(wo[..., 2], wi[..., 2], gbuffer.alpha)
     smooth = gbuffer.alpha == 0
     masked = wi[..., 2] <= 0
     folded = jnp.stack([wi[..., 0], wi[..., 1], jnp.abs(wi[..., 2])], -1)
