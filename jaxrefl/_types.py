@@ -75,6 +75,17 @@ class Mesh(eqx.Module):
     """Linear vertex colours that multiply the base colour; None: there are none."""
 
 
+class Conductors(eqx.Module):
+    """Complex indices of refraction of metals, per material or per point; `base_colour` then multiplies the reflectance."""
+
+    known: Bool[Array, "*b"]
+    """True: this material's Fresnel term is that of eta + i k; False: Schlick's with F0 = `base_colour`."""
+    eta: Float[Array, "*b 3"]
+    """Real part of the index per channel, >= 0; 0 with k = 1 reflects everything; fill 0."""
+    k: Float[Array, "*b 3"]
+    """Imaginary part (absorption) per channel, >= 0; fill 1."""
+
+
 class Materials(eqx.Module):
     """Table of metallic-roughness materials; one row per material. Textures multiply the row's value."""
 
@@ -106,6 +117,16 @@ class Materials(eqx.Module):
     """Row in `Textures` (sRGB), -1 for none."""
     textured: tuple[str, ...] = eqx.field(static=True)
     """Names of the texture columns that any material uses; the others are not looked up."""
+    emits_back: Bool[Array, "m"] | None = None
+    """True: both sides emit, False: only the side the triangle faces; None: all emit from both sides."""
+    conductor: Conductors | None = None
+    """Complex indices of refraction; None: every metal's Fresnel term is Schlick's."""
+    coupled: Bool[Array, "m"] | None = None
+    """True: diffuse light passes the interface twice and bounces beneath it, as in plastic; None: for no material."""
+    opacity: Float[Array, "m"] | None = None
+    """Share of the light that meets the surface at all, in [0, 1]; multiplied by `opacity_texture`; None: all opaque."""
+    opacity_texture: Int[Array, "m"] | None = None
+    """Row in `Textures` whose alpha channel is the opacity, -1 for none; None with `opacity`."""
 
 
 class Textures(eqx.Module):
@@ -211,6 +232,12 @@ class Features:
     """Point, spot or directional lights."""
     environment_lit: bool = False
     """An environment map or a constant sky."""
+    conductive: bool = False
+    """A metal with a complex index of refraction."""
+    coupled: bool = False
+    """A material whose diffuse light passes its interface twice (plastic)."""
+    cut_out: bool = False
+    """A material with an opacity below 1, such as leaves on a card."""
     moving: bool = False
     """Objects that move between frames."""
 
@@ -315,6 +342,12 @@ class GBuffer(eqx.Module):
     """Transmission; fill 0; None: nothing is refractive."""
     motion: Float[Array, "*b 2"] | None = None
     """Where the surface point was in the previous frame minus where it is now, (x, y) in pixels; fill 0."""
+    conductor: Conductors | None = None
+    """Complex index at each point; fill `known` False; None: no metal has one."""
+    coupled: Bool[Array, "*b"] | None = None
+    """True where diffuse light passes the interface twice; fill False; None: nowhere."""
+    opacity: Float[Array, "*b"] | None = None
+    """Share of the light that meets the surface; fill 1; None: everything is opaque."""
 
 
 class Reflection(eqx.Module):

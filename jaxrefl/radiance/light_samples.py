@@ -212,7 +212,10 @@ def _area(scene: Scene, area: AreaLights, receivers: Receivers, u: Float[Array, 
     wi = safe.normalise(to_light)
     # Divided twice, since the square of a small distance may underflow.
     inverse_density = safe.divide(safe.divide(area.area[row], distance), distance) / area.probability[row]
-    irradiance = emission * (inverse_density * jnp.abs(dot(n_light, wi)))[:, None]
+    facing = -dot(n_light, wi)
+    if scene.materials.emits_back is not None:
+        facing = jnp.where(scene.materials.emits_back[material], facing, jnp.maximum(facing, 0))
+    irradiance = emission * (inverse_density * jnp.abs(facing))[:, None]
     q_error = ERROR_PER_COORDINATE * jnp.maximum(jnp.maximum(_largest(a), _largest(b)), _largest(c))
     return _towards(receivers, wi, offset_origin(q, n_light, q_error, -wi), irradiance)
 

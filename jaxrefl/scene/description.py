@@ -60,6 +60,18 @@ class Material:
     """Factor on the x and y of the normal map."""
     emission_texture: Image | None = None
     """sRGB-coded factor on `emission`."""
+    emits_back: bool = True
+    """True: both sides emit; False: only the side the triangles face."""
+    conductor: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Index of refraction of a metal, real and imaginary part per channel; `base_colour` then multiplies its reflectance;
+    None: Schlick's Fresnel term with F0 = `base_colour`."""
+    coupled: bool = False
+    """True: diffuse light passes the interface on its way in and out and bounces beneath it (plastic); `base_colour` is
+    the albedo beneath the interface."""
+    opacity: float = 1.0
+    """Share of the light that meets the surface, in [0, 1]."""
+    opacity_texture: Image | None = None
+    """Image whose alpha channel multiplies `opacity`."""
 
     @property
     def reflective(self) -> bool:

@@ -126,6 +126,12 @@ def _feature_triangles(mesh: Mesh, materials: Materials) -> dict[str, np.ndarray
         "normal_mapped": np.asarray(materials.normal_texture) >= 0,
         "emissive": (np.asarray(materials.emission) > 0).any(1),
     }
+    if materials.conductor is not None:
+        by_material["conductive"] = np.asarray(materials.conductor.known)
+    if materials.coupled is not None:
+        by_material["coupled"] = np.asarray(materials.coupled)
+    if materials.opacity is not None:
+        by_material["cut_out"] = (np.asarray(materials.opacity) < 1) | (np.asarray(materials.opacity_texture) >= 0)
     row = np.asarray(mesh.material)
     reflective = reflects[row]
     planar = planar_triangles(mesh, reflective)

@@ -4,11 +4,12 @@ Input: host-side `Material`s. Output: one row per distinct material, in order of
 """
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrefl._types import Materials
+from jaxrefl._types import Conductors, Materials
 from jaxrefl._validate import checked_array, checked_number
 from jaxrefl.scene.description import Image, Material
 from jaxrefl.scene.errors import SceneError
@@ -18,6 +19,7 @@ _TEXTURES = {
     "metallic_roughness_texture": False,
     "normal_texture": False,
     "emission_texture": True,
+    "opacity_texture": False,
 }
 """Texture slots of a material and whether their colours are sRGB-coded."""
 
@@ -78,7 +80,7 @@ def checked_material(material: Material) -> Material:
         SceneError: If a parameter is not a finite number in its range; names the material and the parameter.
     """
     try:
-        for field in ("metallic", "alpha", "transmission"):
+        for field in ("metallic", "alpha", "transmission", "opacity"):
             checked_number(field, getattr(material, field), low=0, high=1)
         checked_number("eta", material.eta, low=1)
         checked_number("normal_scale", material.normal_scale)
@@ -87,6 +89,8 @@ def checked_material(material: Material) -> Material:
             if (colour < 0).any() or (colour > high).any():
                 limit = "from 0 to 1" if high == 1 else ">= 0"
                 raise ValueError(f"{field}: expected components {limit}, got {tuple(colour.tolist())}")
+        if material.conductor is not None and (checked_array("conductor", material.conductor, (2, 3)) < 0).any():
+            raise ValueError(f"conductor: expected components >= 0, got {material.conductor}")
     except ValueError as error:
         raise SceneError(f"material {material.name!r}: {error}") from error
     return material
@@ -117,14 +121,32 @@ def material_table(materials: list[Material]) -> tuple[Materials, list[tuple[Ima
         return images[key]
 
     rows = {slot: [row(getattr(m, slot), srgb) for m in materials] for slot, srgb in _TEXTURES.items()}
-    textures = {slot: jnp.asarray(column, jnp.int32) for slot, column in rows.items()}
     used = tuple(slot for slot, column in rows.items() if max(column) >= 0)
+    opacity = rows.pop("opacity_texture")
+    textures = {slot: jnp.asarray(column, jnp.int32) for slot, column in rows.items()}
     numbers = {
         name: jnp.asarray([getattr(m, name) for m in materials], jnp.float32)
         for name in ("base_colour metallic alpha eta transmission attenuation emission normal_scale".split())
     }
     thin = jnp.asarray([m.thin for m in materials], bool)
-    return Materials(thin=thin, **numbers, **textures, textured=used), pool
+    return Materials(thin=thin, **numbers, **textures, **_rare_columns(materials, opacity), textured=used), pool
+
+
+def _rare_columns(materials: list[Material], opacity_rows: list[int]) -> dict[str, Any]:
+    """Columns that are None unless some material needs them."""
+    columns: dict[str, Any] = {}
+    if not all(m.emits_back for m in materials):
+        columns["emits_back"] = jnp.asarray([m.emits_back for m in materials], bool)
+    if any(m.conductor is not None for m in materials):
+        index = np.array([m.conductor or ((0, 0, 0), (1, 1, 1)) for m in materials], np.float32)
+        known = jnp.asarray([m.conductor is not None for m in materials], bool)
+        columns["conductor"] = Conductors(known, jnp.asarray(index[:, 0]), jnp.asarray(index[:, 1]))
+    if any(m.coupled for m in materials):
+        columns["coupled"] = jnp.asarray([m.coupled for m in materials], bool)
+    if any(m.opacity < 1 or m.opacity_texture is not None for m in materials):
+        columns["opacity"] = jnp.asarray([m.opacity for m in materials], jnp.float32)
+        columns["opacity_texture"] = jnp.asarray(opacity_rows, jnp.int32)
+    return columns
 
 
 def _key(material: Material) -> tuple:
@@ -135,6 +157,6 @@ def _key(material: Material) -> tuple:
         if isinstance(value, Image):
             value = (id(value.rgba), value.repeat)
         elif isinstance(value, list | tuple | np.ndarray):
-            value = tuple(float(v) for v in value)
+            value = tuple(np.ravel(value).tolist())
         values.append(value)
     return tuple(values)

@@ -47,6 +47,10 @@ def build_gbuffer(
         ns = apply_normal_map(scene, ns, material, corners, uv, hits)
     ns = jnp.where((dot(ns, n) < 0)[..., None], -ns, ns)
     sample = sample_material(scene, material, corners, uv, hits)
+    emission = sample.emission
+    if emission is not None and scene.materials.emits_back is not None:
+        shines = outside | scene.materials.emits_back[material]
+        emission = jnp.where(shines[..., None], emission, 0)
 
     z_camera, motion = None, None
     if camera is not None:
@@ -70,9 +74,12 @@ def build_gbuffer(
         object=jnp.where(valid, mesh.object[triangle], -1),
         material=jnp.where(valid, material, -1),
         triangle=jnp.where(valid, triangle, -1),
-        emission=sample.emission,
+        emission=emission,
         transmission=sample.transmission,
         motion=motion,
+        conductor=sample.conductor,
+        coupled=sample.coupled,
+        opacity=sample.opacity,
     )
 
 

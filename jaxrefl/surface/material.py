@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxrefl._types import Hits, Scene
+from jaxrefl._types import Conductors, Hits, Scene
 from jaxrefl.core import cross, dot
 from jaxrefl.core.safe import normalise
 from jaxrefl.scene.textures import texture_rgba
@@ -25,6 +25,9 @@ class MaterialSample(NamedTuple):
     eta: Float[Array, "*b"]
     emission: Float[Array, "*b 3"] | None
     transmission: Float[Array, "*b"] | None
+    conductor: Conductors | None
+    coupled: Bool[Array, "*b"] | None
+    opacity: Float[Array, "*b"] | None
 
 
 def sample_material(
@@ -63,7 +66,28 @@ def sample_material(
         eta=jnp.where(valid, table.eta[material], 1),
         emission=None if emission is None else jnp.where(valid[..., None], emission, 0),
         transmission=None if transmission is None else jnp.where(valid, transmission, 0),
+        conductor=_conductor(table.conductor, material, valid) if scene.features.conductive else None,
+        coupled=valid & table.coupled[material] if scene.features.coupled and table.coupled is not None else None,
+        opacity=_opacity(scene, material, uv, valid) if scene.features.cut_out else None,
     )
+
+
+def _conductor(table: Conductors | None, material: Int[Array, "*b"], valid: Bool[Array, "*b"]) -> Conductors | None:
+    if table is None:
+        return None
+    return Conductors(valid & table.known[material], table.eta[material], table.k[material])
+
+
+def _opacity(
+    scene: Scene, material: Int[Array, "*b"], uv: Float[Array, "*b 2"] | None, valid: Bool[Array, "*b"]
+) -> Float[Array, "*b"] | None:
+    table = scene.materials
+    if table.opacity is None or table.opacity_texture is None:
+        return None
+    opacity = table.opacity[material]
+    if "opacity_texture" in table.textured:
+        opacity = opacity * _texture(scene, table.opacity_texture[material], uv)[..., 3]
+    return jnp.where(valid, opacity, 1)
 
 
 def _texture(scene: Scene, index: Int[Array, "*b"], uv: Float[Array, "*b 2"] | None) -> Float[Array, "*b 4"]:
