@@ -13,6 +13,8 @@ from scene_files import CUBE_OBJ, checker, quad_gltf, write_obj
 from jaxrefl.core import look_at, project
 from jaxrefl.scene import (
     Description,
+    Image,
+    Material,
     Part,
     PunctualLight,
     SceneWarning,
@@ -249,3 +251,39 @@ def test_the_inventory_tells_everything_and_can_be_stored(tmp_path: Path):
     for word in ("planar: objects leg 1, leg 2", "switched off: curved"):
         assert word in text, text
     assert max(map(len, text.splitlines())) < 400
+
+
+def test_the_inventory_shows_rare_parameters_only_where_they_are(rng: np.random.Generator):
+    triangle = np.eye(3)
+    image = Image("leaf", rng.integers(0, 256, (2, 2, 4), np.uint8))
+    plain = Part("wall", triangle, np.array([[0, 1, 2]]), matte("paint", (1, 1, 1)))
+    assert (
+        not {"conductor", "coupled", "opacity", "emits_back"}
+        & inventory(assemble(Description("d", [plain])))["materials"][0].keys()
+    )
+    rare = Material(
+        "odd",
+        metallic=0.5,
+        conductor=((0.2, 0.9, 1.1), (3.9, 2.4, 2.2)),
+        coupled=True,
+        opacity=0.25,
+        opacity_texture=image,
+        emission=(1.0, 2.0, 3.0),
+        emits_back=False,
+    )
+    odd = Part("leaf", triangle + 1, np.array([[0, 1, 2]]), rare, uv=np.zeros((3, 2)))
+    data = inventory(assemble(Description("d", [plain, odd])))
+    assert json.loads(json.dumps(data)) == data
+    first, second = data["materials"]
+    assert "conductor" not in first and first["opacity"] == 1 and first["opacity_texture"] == -1
+    assert second["conductor"]["eta"] == pytest.approx([0.2, 0.9, 1.1], abs=1e-6)
+    assert (second["opacity"], second["coupled"], second["emits_back"]) == (0.25, True, False)
+    text = format_inventory(data)
+    for word in (
+        "complex index (0.2, 0.9, 1.1) + i (3.9, 2.4, 2.2)",
+        "coupled",
+        "opacity 0.25",
+        "opacity 0",
+        "(front)",
+    ):
+        assert word in text, text

@@ -8,11 +8,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrefl._types import Lights, Scene
+from jaxrefl._types import Conductors, Lights, Scene
 from jaxrefl.scene.features import feature_reasons, reflective_materials
 
 _SHOWN = 40
-_IMAGES = ("base_colour_texture", "metallic_roughness_texture", "normal_texture", "emission_texture")
+_IMAGES = (
+    "base_colour_texture",
+    "metallic_roughness_texture",
+    "normal_texture",
+    "emission_texture",
+    "opacity_texture",
+)
 
 
 def inventory(scene: Scene) -> dict[str, Any]:
@@ -22,8 +28,9 @@ def inventory(scene: Scene) -> dict[str, Any]:
         scene: Any scene.
     Returns:
         `name`, `triangles`, `vertices`, `bounds` (lower, upper, diagonal), `objects` (name, triangles, materials),
-        `materials` (name, triangles and every parameter), `lights`, `cameras`, `textures`, `features` (reason by
-        name), `absent` features, `memory` (bytes by group, and their total) and `notes`.
+        `materials` (name, triangles and every parameter; rare ones only in scenes that have them), `lights`, `cameras`,
+        `textures`, `features` (reason by name), `absent` features, `memory` (bytes by group, and their total) and
+        `notes`.
     """
     mesh = scene.mesh
     lower, upper = np.asarray(scene.lower, float), np.asarray(scene.upper, float)
@@ -107,12 +114,21 @@ def _materials(scene: Scene) -> list[dict[str, Any]]:
     table = scene.materials
     counts = np.bincount(np.asarray(scene.mesh.material), minlength=len(scene.names.materials))
     reflective = reflective_materials(table)
-    columns = {name: np.asarray(value) for name, value in vars(table).items() if name != "textured"}
+    plain = {n: v for n, v in vars(table).items() if n not in ("textured", "conductor") and v is not None}
+    columns = {name: np.asarray(value) for name, value in plain.items()}
     return [
         {"name": name, "triangles": int(counts[i]), "reflective": bool(reflective[i])}
         | {column: values[i].tolist() for column, values in columns.items()}
+        | _conductor(table.conductor, i)
         for i, name in enumerate(scene.names.materials)
     ]
+
+
+def _conductor(table: Conductors | None, row: int) -> dict[str, Any]:
+    """Complex index of one material, where it has one."""
+    if table is None or not bool(table.known[row]):
+        return {}
+    return {"conductor": {name: np.asarray(getattr(table, name)[row]).tolist() for name in ("eta", "k")}}
 
 
 def _material_line(material: dict[str, Any]) -> str:
@@ -128,8 +144,14 @@ def _material_line(material: dict[str, Any]) -> str:
     if max(material["attenuation"]) > 0:
         words.append(f"absorption {_vector(material['attenuation'])}")
     if max(material["emission"]) > 0:
-        words.append(f"emission {_vector(material['emission'])}")
-    images = [f"{slot.removesuffix('_texture')} {material[slot]}" for slot in _IMAGES if material[slot] >= 0]
+        side = "" if material.get("emits_back", True) else " (front)"
+        words.append(f"emission {_vector(material['emission'])}{side}")
+    if "conductor" in material:
+        eta, k = (_vector(material["conductor"][name]) for name in ("eta", "k"))
+        words.append(f"complex index {eta} + i {k}")
+    words += ["coupled"] if material.get("coupled", False) else []
+    words += [f"opacity {material['opacity']:.3g}"] if material.get("opacity", 1) < 1 else []
+    images = [f"{slot.removesuffix('_texture')} {material[slot]}" for slot in _IMAGES if material.get(slot, -1) >= 0]
     words += [f"textures: {', '.join(images)}"] if images else []
     return f"  {material['name']}: {', '.join(words)}; {material['triangles']:,} triangles"
 
