@@ -36,12 +36,21 @@ CREASE_ANGLE = 40.0
 DEFAULT_SKY = (1.0, 1.0, 1.0)
 """Radiance of the constant sky of scenes without any light."""
 
+
+def _describe_mitsuba(path: Path) -> Description:
+    """`describe_mitsuba`, imported only when such a file is read."""
+    from jaxrefl.scene.mitsuba import describe_mitsuba
+
+    return describe_mitsuba(path)
+
+
 _READERS: dict[str, Callable[[Path], Description]] = {
     ".gltf": describe_gltf,
     ".glb": describe_gltf,
     ".obj": describe_obj,
     ".ply": describe_ply,
     ".stl": describe_stl,
+    ".xml": _describe_mitsuba,
 }
 
 
@@ -57,7 +66,7 @@ def load(
     """The scene in a file, ready to render.
 
     Args:
-        path: A `.gltf`, `.glb`, `.obj`, `.ply` or `.stl` file.
+        path: A `.gltf`, `.glb`, `.obj`, `.ply`, `.stl` or Mitsuba `.xml` file.
         overrides: TOML file, or the same keys in a dictionary; None looks for `NAME.jaxrefl.toml` beside the file, and
             an empty dictionary does not.
         environment: Latitude-longitude map, `.hdr` or `.exr`, that lights the scene; replaces that of the overrides.
@@ -92,7 +101,7 @@ def describe_file(
     """The scene in a file as host-side data that can still be edited; `assemble` makes a `Scene` of it.
 
     Args:
-        path: A `.gltf`, `.glb`, `.obj`, `.ply` or `.stl` file.
+        path: A `.gltf`, `.glb`, `.obj`, `.ply`, `.stl` or Mitsuba `.xml` file.
         overrides: As for `load`.
         environment: As for `load`.
         up: As for `load`.
