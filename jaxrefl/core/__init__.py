@@ -34,6 +34,11 @@ from .sampling import disk as disk
 from .sampling import sample_cdf as sample_cdf
 from .sampling import stratified as stratified
 from .sampling import triangle as triangle
+from .sequences import hash_words as hash_words
+from .sequences import owen_sobol as owen_sobol
+from .sequences import pixel_sequences as pixel_sequences
+from .sequences import seed_of as seed_of
+from .sequences import uniform as uniform
 from .shapes import intersect_plane as intersect_plane
 from .shapes import intersect_sphere as intersect_sphere
 from .shapes import mirror_point as mirror_point

@@ -15,14 +15,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxrefl._types import AreaLights, Environment, GBuffer, Lights, PunctualLights, Rays, Scene
-from jaxrefl.core import cone, cosine_hemisphere, cross, dot, safe, stratified, triangle
-from jaxrefl.rays.offset import ERROR_PER_COORDINATE, offset_origin
-from jaxrefl.scene.distributions import invert_cdf
+from jaxrefl.core import cosine_hemisphere, dot, safe, stratified
+from jaxrefl.radiance.light_points import FAR, area_light_point, punctual_light_point
+from jaxrefl.rays.offset import offset_origin
 from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
-from jaxrefl.scene.textures import texture_rgba
 
-FAR = 1e30
-"""Length of a shadow ray that leaves the scene, world units."""
 COSINE_SHARE = 0.5
 """Share of the environment's samples that are drawn from the cosine lobe instead of the map.
 
@@ -191,33 +188,8 @@ def sample_light_points(
 
 def _area(scene: Scene, area: AreaLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightPoints:
     """A point on the emissive triangles, uniform on each and between them in proportion to their power."""
-    row, rest = invert_cdf(area.cdf, u[:, 0])
-    face = area.triangle[row]
-    corners = scene.mesh.faces[face]
-    a, b, c = (scene.mesh.vertices[corners[:, i]] for i in range(3))
-    barycentric = triangle(jnp.stack([rest, u[:, 1]], -1))
-    w1, w2 = barycentric[:, :1], barycentric[:, 1:]
-    q = a * (1 - w1 - w2) + b * w1 + c * w2
-    n_light = safe.normalise(cross(b - a, c - a))
-
-    material = scene.mesh.material[face]
-    emission = scene.materials.emission[material]
-    if area.textured and scene.textures is not None and scene.mesh.uv is not None:
-        uv = scene.mesh.uv
-        uv = uv[corners[:, 0]] * (1 - w1 - w2) + uv[corners[:, 1]] * w1 + uv[corners[:, 2]] * w2
-        emission = emission * texture_rgba(scene.textures, scene.materials.emission_texture[material], uv)[:, :3]
-
-    to_light = q - receivers.p
-    distance = safe.norm(to_light)
-    wi = safe.normalise(to_light)
-    # Divided twice, since the square of a small distance may underflow.
-    inverse_density = safe.divide(safe.divide(area.area[row], distance), distance) / area.probability[row]
-    facing = -dot(n_light, wi)
-    if scene.materials.emits_back is not None:
-        facing = jnp.where(scene.materials.emits_back[material], facing, jnp.maximum(facing, 0))
-    irradiance = emission * (inverse_density * jnp.abs(facing))[:, None]
-    q_error = ERROR_PER_COORDINATE * jnp.maximum(jnp.maximum(_largest(a), _largest(b)), _largest(c))
-    return _towards(receivers, wi, offset_origin(q, n_light, q_error, -wi), irradiance)
+    found = area_light_point(scene, area, receivers.p, u)
+    return _towards(receivers, found.wi, found.end, found.radiance * found.inverse_density[:, None])
 
 
 def _constant_sky(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"]) -> LightPoints:
@@ -269,25 +241,9 @@ def _all_punctual(lights: PunctualLights, receivers: Receivers, u: Float[Array, 
 
 def _punctual(light: PunctualLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightPoints:
     """A ray to one light, the fields of which have lost their leading axis."""
-    shape = receivers.p.shape
-    position, axis = (jnp.broadcast_to(x, shape) for x in (light.position, light.direction))
-    to_light = position - receivers.p
-    distance = safe.norm(to_light)
-    wi = safe.normalise(to_light)
-    scale = jnp.maximum(light.cos_inner - light.cos_outer, 1e-3)
-    spot = jnp.clip((-dot(wi, axis) - light.cos_outer) / scale, 0, 1) ** 2
-    strength = safe.divide(safe.divide(spot, distance), distance)
-
-    cos_radius = jnp.cos(light.angular_radius)
-    sun = cone(u, -axis, jnp.broadcast_to(cos_radius, shape[:1]))
-    # A disk of half angle r and radiance L brings pi L sin^2 r; its solid angle is 2 pi (1 - cos r).
-    strength = jnp.where(light.directional, 2 / (1 + cos_radius), strength)
-    irradiance = jnp.broadcast_to(light.intensity, shape) * strength[:, None]
-    far = _far(sun, irradiance * _cosine(receivers, sun))
-    # A lamp may lie on the surface that it is mounted on, so its ray ends a little before it.
-    end = position - wi * (ERROR_PER_COORDINATE * _largest(position) + receivers.p_error)[:, None]
-    near = _towards(receivers, wi, end, irradiance)
-    return jax.tree.map(lambda x, y: jnp.where(light.directional, x, y), far, near)
+    everywhere = jax.tree.map(lambda x: jnp.broadcast_to(x, (*receivers.p.shape[:1], *x.shape)), light)
+    found = punctual_light_point(everywhere, receivers.p, receivers.p_error, u)
+    return LightPoints(found.wi, found.end, found.radiance * _cosine(receivers, found.wi))
 
 
 def _towards(
@@ -304,10 +260,6 @@ def _far(wi: Float[Array, "n 3"], irradiance: Float[Array, "n 3"]) -> LightPoint
 
 def _cosine(receivers: Receivers, wi: Float[Array, "n 3"]) -> Float[Array, "n 1"]:
     return jnp.maximum(dot(receivers.ns, wi), 0)[:, None]
-
-
-def _largest(v: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jnp.abs(v).max(-1)
 
 
 def shadow_rays(receivers: Receivers, points: LightPoints) -> LightSamples:

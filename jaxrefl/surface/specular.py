@@ -12,7 +12,9 @@ from jaxrefl._types import GBuffer
 from jaxrefl.core import (
     dot,
     f0_from_eta,
+    fresnel_conductor,
     fresnel_dielectric,
+    fresnel_schlick,
     lerp,
     reflect,
     reflection_weight,
@@ -23,6 +25,7 @@ from jaxrefl.core import (
 )
 from jaxrefl.core.albedo import ggx_albedo, lobe_fresnel_cosine
 from jaxrefl.core.safe import normalise
+from jaxrefl.surface.coupling import albedo_above
 
 GRAZING = 1e-3
 """Smallest sine by which a reflected direction stays above the geometric surface."""
@@ -67,7 +70,49 @@ def specular_colour(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
     Source: glTF 2.0 appendix B.
     """
     dielectric = jnp.broadcast_to(f0_from_eta(gbuffer.eta)[..., None], gbuffer.base_colour.shape)
-    return lerp(dielectric, gbuffer.base_colour, gbuffer.metallic)
+    return lerp(dielectric, _at_complex_index(gbuffer, jnp.ones_like(gbuffer.eta), gbuffer.base_colour), gbuffer.metallic)
+
+
+def metal_fresnel(gbuffer: GBuffer, cos: Float[Array, "*b"]) -> Float[Array, "*b 3"]:
+    """Reflectance of a metal's microfacet: exact where the complex index is known, Schlick's elsewhere.
+
+    Args:
+        gbuffer: Any G-buffer.
+        cos: Cosine between the viewer and the microfacet's normal.
+    Returns:
+        Reflectance per channel, in [0, 1].
+    """
+    return _at_complex_index(gbuffer, cos, fresnel_schlick(cos[..., None], gbuffer.base_colour))
+
+
+def _at_complex_index(gbuffer: GBuffer, cos: Float[Array, "*b"], other: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """The reflectance of metals whose complex index is known, and that of the `other` ones."""
+    if (metal := gbuffer.conductor) is None:
+        return other
+    return jnp.where(metal.known[..., None], gbuffer.base_colour * fresnel_conductor(cos[..., None], metal.eta, metal.k), other)
+
+
+def dielectric_fresnel(gbuffer: GBuffer, cos: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """Reflectance of a dielectric's microfacet, from whichever side it is seen.
+
+    Args:
+        gbuffer: Any G-buffer.
+        cos: Cosine between the viewer and the microfacet's normal.
+    Returns:
+        Reflectance in [0, 1]; 1 beyond the critical angle.
+    """
+    return fresnel_dielectric(cos, relative_eta(gbuffer))
+
+
+def relative_eta(gbuffer: GBuffer) -> Float[Array, "*b"]:
+    """Index of refraction of the far side over that of the viewer's side.
+
+    Args:
+        gbuffer: Any G-buffer.
+    Returns:
+        `eta` from outside, its inverse from inside.
+    """
+    return jnp.where(gbuffer.outside, gbuffer.eta, 1 / gbuffer.eta)
 
 
 def diffuse_albedo(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
@@ -76,12 +121,13 @@ def diffuse_albedo(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
     Args:
         gbuffer: Any G-buffer.
     Returns:
-        Albedo per channel: base colour of what is neither metal nor transparent.
+        Albedo per channel: base colour of what is neither metal nor transparent; of a coupled material what its base
+        colour leaves after the bounces beneath the interface.
     """
     share = 1 - gbuffer.metallic
     if gbuffer.transmission is not None:
         share = share * (1 - gbuffer.transmission)
-    return gbuffer.base_colour * share[..., None]
+    return albedo_above(gbuffer) * share[..., None]
 
 
 def mirror_direction(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
@@ -136,12 +182,13 @@ def specular_weight(
     single = scale + bias
     f0 = specular_colour(gbuffer)
     if fresnel == "exact":
-        relative_eta = jnp.where(gbuffer.outside, gbuffer.eta, 1 / gbuffer.eta)
-        cosine = lobe_fresnel_cosine(cos_o, gbuffer.alpha)
-        dielectric = single * fresnel_dielectric(cosine, relative_eta)
+        dielectric = single * dielectric_fresnel(gbuffer, lobe_fresnel_cosine(cos_o, gbuffer.alpha))
     else:
         dielectric = f0_from_eta(gbuffer.eta) * scale + bias
     metal = gbuffer.base_colour * scale[..., None] + bias[..., None]
+    if gbuffer.conductor is not None:
+        exact = single[..., None] * metal_fresnel(gbuffer, lobe_fresnel_cosine(cos_o, gbuffer.alpha))
+        metal = jnp.where(gbuffer.conductor.known[..., None], exact, metal)
     albedo = lerp(jnp.broadcast_to(dielectric[..., None], metal.shape), metal, gbuffer.metallic)
     if multiple_scattering:
         albedo = albedo * (1 + f0 * (1 / jnp.maximum(single, 1e-3) - 1)[..., None])
@@ -202,8 +249,7 @@ def sample_refraction(gbuffer: GBuffer, thin: Bool[Array, "*b"], u: Float[Array,
     """
     wo = to_local(gbuffer.wo, gbuffer.ns)
     h = to_world(sample_visible_normal(wo, gbuffer.alpha, u), gbuffer.ns)
-    relative_eta = jnp.where(gbuffer.outside, gbuffer.eta, 1 / gbuffer.eta)
-    through, possible = refract(gbuffer.wo, h, relative_eta)
+    through, possible = refract(gbuffer.wo, h, relative_eta(gbuffer))
     through = -keep_above(-through, gbuffer.n)
     inward = jnp.where(possible[..., None], through, keep_above(reflect(gbuffer.wo, h), gbuffer.n))
     return jnp.where(thin[..., None], -gbuffer.wo, inward)
