@@ -118,10 +118,31 @@ class _Reader:
         surface = dataclasses.replace(surface, material=surface.material.replace(name=name))
         if not surface.two_sided and not emitters:
             self.file.notes.group(_ONE_SIDED, name)
-        for key in ("interior", "exterior"):
-            if node.child(key) is not None:
-                self.file.notes.group("media are ignored", name)
+        if node.child("exterior") is not None:
+            self.file.notes.group("the medium outside is ignored", name)
+        surface = self._with_absorption(node, surface)
         return self._with_emission(node, surface, emitters[0]) if emitters else surface
+
+    def _with_absorption(self, node: Node, surface: Surface) -> Surface:
+        """The surface with what a homogeneous medium inside absorbs."""
+        medium, name = node.child("interior"), surface.material.name
+        if medium is None:
+            return surface
+        if medium.plugin != "homogeneous" or surface.material.transmission == 0 or surface.material.thin:
+            self.file.notes.group("media are ignored, but for homogeneous ones inside glass", name)
+            return surface
+        scale = medium.number("scale", 1.0)
+        if "sigma_a" in medium:
+            absorption = np.array(self.textures.colour(medium, "sigma_a", (0, 0, 0), meaning="index").factor)
+            scatters = "sigma_s" in medium
+        else:
+            total = self.textures.colour(medium, "sigma_t", (1, 1, 1), meaning="index").factor
+            albedo = np.array(self.textures.colour(medium, "albedo", (0.75, 0.75, 0.75)).factor)
+            absorption, scatters = np.array(total) * (1 - albedo), bool(albedo.any())
+        if scatters:
+            self.file.notes.group("the media inside these absorb but do not scatter here", name)
+        red, green, blue = (scale * absorption).tolist()
+        return dataclasses.replace(surface, material=surface.material.replace(attenuation=(red, green, blue)))
 
     def _with_emission(self, node: Node, surface: Surface, emitter: Node) -> Surface:
         if emitter.plugin != "area":

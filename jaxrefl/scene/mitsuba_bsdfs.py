@@ -21,8 +21,6 @@ from jaxrefl.scene.plastic import albedo_beneath
 DEFAULT_COLOUR = (0.5, 0.5, 0.5)
 """Albedo of Mitsuba's default material, and of materials that are not known here."""
 
-_WRAPPERS = ("coating", "roughcoating", "mixturebsdf", "circular", "retarder", "polarizer", "linearcurve")
-
 
 @dataclass(frozen=True)
 class Surface:
@@ -47,6 +45,8 @@ class SurfaceReader:
     """Reads the materials of one file, each once."""
 
     textures: TextureReader
+    label: str = ""
+    """What to call the material that is being read in notes: the id of the outermost BSDF."""
     _surfaces: dict[int, Surface] = field(default_factory=dict)
 
     def read(self, node: Node) -> Surface:
@@ -60,8 +60,10 @@ class SurfaceReader:
             SceneError: If a parameter has the wrong type.
         """
         if node.index not in self._surfaces:
-            maker = _MAKERS.get(node.plugin, _unknown)
-            surface = maker(self, node)
+            outer = self.label
+            self.label = node.name or outer or node.place
+            surface = _MAKERS.get(node.plugin, _unknown)(self, node)
+            self.label = outer
             if node.name:
                 surface = dataclasses.replace(surface, material=surface.material.replace(name=node.name))
             self._surfaces[node.index] = surface
@@ -100,7 +102,7 @@ def _diffuse(reader: SurfaceReader, node: Node) -> Surface:
 
 def _plastic(reader: SurfaceReader, node: Node) -> Surface:
     colour = reader.textures.colour(node, "diffuse_reflectance", DEFAULT_COLOUR)
-    eta, inverted = _relative_index(node, "polypropylene", "air")
+    eta, inverted = _relative_index(reader, node, "polypropylene", "air")
     alpha, rough = _alpha(reader, node, smooth="rough" not in node.plugin)
     _note_specular(reader, node)
     if not node.get("nonlinear", False):
@@ -112,7 +114,7 @@ def _plastic(reader: SurfaceReader, node: Node) -> Surface:
             image = mapped(colour.image, functools.partial(albedo_beneath, eta=eta))
             colour = dataclasses.replace(colour, image=image)
         text = "the albedo beneath these plastics is changed so that they look as with nonlinear = false"
-        node.scene.notes.group(text, _label(node))
+        node.scene.notes.group(text, reader.label)
     material = Material("", alpha=alpha, eta=eta, coupled=True)
     return reader.with_number(
         node, reader.with_colour(colour, material, inverted=inverted), rough, "metallic_roughness_texture"
@@ -130,7 +132,7 @@ def _conductor(reader: SurfaceReader, node: Node) -> Surface:
 
 def _dielectric(reader: SurfaceReader, node: Node) -> Surface:
     colour = reader.textures.colour(node, "specular_transmittance", (1.0, 1.0, 1.0))
-    eta, inverted = _relative_index(node, "bk7", "air")
+    eta, inverted = _relative_index(reader, node, "bk7", "air")
     alpha, rough = _alpha(reader, node, smooth="rough" not in node.plugin)
     _note_specular(reader, node)
     thin = node.plugin == "thindielectric"
@@ -142,7 +144,7 @@ def _dielectric(reader: SurfaceReader, node: Node) -> Surface:
 def _two_sided(reader: SurfaceReader, node: Node) -> Surface:
     inner = node.children("BSDF")
     if len(inner) > 1 and inner[0].index != inner[1].index:
-        node.scene.notes.group("the back of these materials is not read; it looks like the front", _label(node))
+        node.scene.notes.group("the back of these materials is not read; it looks like the front", reader.label)
     return dataclasses.replace(reader.nested(node), two_sided=True)
 
 
@@ -162,7 +164,7 @@ def _normal_map(reader: SurfaceReader, node: Node) -> Surface:
 
 
 def _bump_map(reader: SurfaceReader, node: Node) -> Surface:
-    node.scene.notes.group("bump maps are ignored", _label(node))
+    node.scene.notes.group("bump maps are ignored", reader.label)
     return reader.nested(node)
 
 
@@ -170,12 +172,12 @@ def _blend(reader: SurfaceReader, node: Node) -> Surface:
     inner = [reader.read(child) for child in node.children("BSDF")]
     weight = reader.textures.number(node, "weight", 0.5)
     share = weight.mean if weight.image is None else float(weight.image.rgba[..., 0].mean()) / 255
-    node.scene.notes.group("of these blends only the heavier material is shown", _label(node))
+    node.scene.notes.group("of these blends only the heavier material is shown", reader.label)
     return inner[int(share > 0.5)] if len(inner) == 2 else reader.nested(node)
 
 
 def _principled(reader: SurfaceReader, node: Node) -> Surface:
-    found = principled(reader.textures, node)
+    found = principled(reader.textures, node, reader.label)
     surface = reader.with_colour(found.colour, found.material, two_sided=found.material.transmission > 0)
     return reader.with_number(node, surface, found.metallic_roughness, "metallic_roughness_texture")
 
@@ -185,10 +187,10 @@ def _null(reader: SurfaceReader, node: Node) -> Surface:
 
 
 def _unknown(reader: SurfaceReader, node: Node) -> Surface:
-    if node.plugin in _WRAPPERS and node.children("BSDF"):
-        node.scene.notes.group(f"{node.plugin} is ignored; the material beneath it is shown", _label(node))
+    if node.children("BSDF"):
+        node.scene.notes.group(f"{node.plugin} is ignored; the material beneath it is shown", reader.label)
         return reader.nested(node)
-    node.scene.notes.group(f"{node.plugin} is not known here; a matte surface of its colour is shown", _label(node))
+    node.scene.notes.group(f"{node.plugin} is not known here; a matte surface of its colour is shown", reader.label)
     keys = [key for key in ("diffuse_reflectance", "reflectance", "base_color") if key in node]
     colour = reader.textures.colour(node, keys[0] if keys else "reflectance", DEFAULT_COLOUR)
     return reader.with_colour(colour, matte("", (1, 1, 1)))
@@ -214,11 +216,7 @@ _MAKERS: dict[str, Callable[[SurfaceReader, Node], Surface]] = {
 }
 
 
-def _label(node: Node) -> str:
-    return node.name or node.place
-
-
-def _relative_index(node: Node, inside: str, outside: str) -> tuple[float, bool]:
+def _relative_index(reader: SurfaceReader, node: Node, inside: str, outside: str) -> tuple[float, bool]:
     """Index of the denser side over that of the other, and True if the denser side is the outside."""
     given = {key: node.get(key, default) for key, default in (("int_ior", inside), ("ext_ior", outside))}
     if any(isinstance(value, str) for value in given.values()):
@@ -227,7 +225,7 @@ def _relative_index(node: Node, inside: str, outside: str) -> tuple[float, bool]
     else:
         ratio = node.number("int_ior", 1.5) / node.number("ext_ior", 1.0)
     if not math.isfinite(ratio) or ratio <= 0:
-        node.scene.notes.group("the index of refraction is not a positive number; 1.5 is used", _label(node))
+        node.scene.notes.group("the index of refraction is not a positive number; 1.5 is used", reader.label)
         return 1.5, False
     return (ratio, False) if ratio >= 1 else (1 / ratio, True)
 
@@ -237,7 +235,7 @@ def _complex_index(reader: SurfaceReader, node: Node) -> tuple[Triple, Triple]:
     if "eta" in node or "k" in node:
         textures = [reader.textures.colour(node, key, (0.0, 0.0, 0.0), meaning="index") for key in ("eta", "k")]
         if any(texture.image is not None for texture in textures):
-            node.scene.notes.group("textures of eta and k are ignored", _label(node))
+            node.scene.notes.group("textures of eta and k are ignored", reader.label)
         return textures[0].factor, textures[1].factor
     material = str(node.get("material", "Cu"))
     parameters = node.scene.mi.traverse(loaded(node, {"type": "conductor", "material": material}))
@@ -255,12 +253,12 @@ def _alpha(reader: SurfaceReader, node: Node, *, smooth: bool) -> tuple[float, T
             "GGX of the same alpha takes the place of the distribution {} (tails of highlights are longer and their "
             "peaks lower)"
         )
-        node.scene.notes.group(text.format(distribution), _label(node))
+        node.scene.notes.group(text.format(distribution), reader.label)
     if "alpha_u" in node or "alpha_v" in node:
         u, v = (reader.textures.number(node, key, 0.1).mean for key in ("alpha_u", "alpha_v"))
         if u != v:
             text = "these anisotropic materials get the geometric mean of alpha_u and alpha_v"
-            node.scene.notes.group(text, _label(node))
+            node.scene.notes.group(text, reader.label)
         return _unit(math.sqrt(max(u * v, 0.0))), Texture()
     alpha = reader.textures.number(node, "alpha", 0.1)
     if alpha.image is None:
@@ -279,4 +277,4 @@ def _note_specular(reader: SurfaceReader, node: Node) -> None:
     if "specular_reflectance" in node:
         found = reader.textures.colour(node, "specular_reflectance", (1.0, 1.0, 1.0))
         if found.image is not None or found.factor != (1.0, 1.0, 1.0):
-            node.scene.notes.group("specular_reflectance is ignored; it counts as 1", _label(node))
+            node.scene.notes.group("specular_reflectance is ignored; it counts as 1", reader.label)

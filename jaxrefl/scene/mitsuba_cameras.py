@@ -49,7 +49,7 @@ def read_camera(node: Node) -> Camera | None:
     except (ValueError, ZeroDivisionError) as error:
         raise SceneError(f"{node.scene.path}: {node.place}: {error}") from error
     shift = [node.number(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
-    centre = [size[0] * (0.5 + shift[0]) - x0, size[1] * (0.5 + shift[1]) - y0]
+    centre = [size[0] * (0.5 - shift[0]) - x0, size[1] * (0.5 - shift[1]) - y0]
     return dataclasses.replace(camera, centre=jnp.asarray(centre, jnp.float32))
 
 

@@ -1,6 +1,8 @@
 """Emitters of a Mitsuba scene file -> punctual lights and the sky. Area lights belong to shapes; see `mitsuba.py`.
 
 Mitsuba's environment maps look along -Z at their left edge, ours in the middle; the tests compare both numerically.
+Mitsuba has the first and the last row at the poles themselves, not half a row beside them; this difference of at most
+half a row is not made up for.
 """
 
 import math

@@ -29,16 +29,17 @@ class Principled:
     """Image with roughness (G) and metalness (B), if one of them varies."""
 
 
-def principled(textures: TextureReader, node: Node) -> Principled:
+def principled(textures: TextureReader, node: Node, label: str) -> Principled:
     """Metallic-roughness parameters of a principled material.
 
     Args:
         textures: Reader of the file's textures.
         node: The BSDF.
+        label: What to call it in notes.
     Returns:
         The parameters; what has no counterpart is noted if it is not 0.
     """
-    notes, label = node.scene.notes, node.name or node.place
+    notes = node.scene.notes
     colour = textures.colour(node, "base_color", (0.5, 0.5, 0.5))
     rough, metallic = textures.number(node, "roughness", 0.5), textures.number(node, "metallic", 0.0)
     transmission = textures.number(node, "spec_trans", 0.0)
