@@ -110,7 +110,7 @@ def _scramble(x: UInt32[Array, "*b"], seed: UInt32[Array, "*b"]) -> UInt32[Array
 def _pascal(x: UInt32[Array, "*b"]) -> UInt32[Array, "*b"]:
     """Sobol's second dimension: the index times Pascal's triangle modulo 2, digits from the lowest bit up.
 
-    Digit i is the parity of the bits j with C(j, i) odd, that is with i a subset of j: a sum over supersets, in 5 steps.
+    Digit i is the parity of the bits j with C(j, i) odd, which are the supersets of i: a sum over them in 5 steps.
     """
     for shift, mask in _SHIFTS_AND_MASKS:
         x = x ^ ((x >> shift) & np.uint32(mask))

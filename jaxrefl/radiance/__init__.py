@@ -10,3 +10,8 @@ from .light_samples import LightSamples as LightSamples
 from .light_samples import Receivers as Receivers
 from .light_samples import receivers_of as receivers_of
 from .light_samples import sample_lights as sample_lights
+from .path import camera_samples as camera_samples
+from .path import path_light as path_light
+from .path import path_radiance as path_radiance
+from .path_types import PathLight as PathLight
+from .path_types import PathOptions as PathOptions

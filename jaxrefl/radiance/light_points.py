@@ -6,7 +6,7 @@ point) are built from, and the densities with which a ray that hits a light by i
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import AreaLights, PunctualLights, Scene
 from jaxrefl.core import cone, cross, dot, safe, triangle
@@ -28,25 +28,59 @@ class LightPoint(eqx.Module):
     radiance: Float[Array, "n 3"]
     """Radiance towards the receiver; for punctual lights the irradiance of a surface that faces them."""
     inverse_density: Float[Array, "n"]
-    """One over the density per solid angle; 1 for punctual lights, which have none; 0 where the light shows its edge."""
+    """One over the density per solid angle; 1 for punctual lights, which have none; 0 for a light seen edge-on."""
 
 
-def area_light_point(
-    scene: Scene, area: AreaLights, p: Float[Array, "n 3"], u: Float[Array, "n 2"]
-) -> LightPoint:
-    r"""A point on the emissive triangles, uniform on each and between them in proportion to their power.
+class EmissivePoint(eqx.Module):
+    """Points of emissive triangles, whoever looks at them."""
 
-    $$ \frac{1}{p(\omega)} = \frac{A \cos\theta_l}{p_\mathrm{triangle}\,d^2} $$
+    q: Float[Array, "n 3"]
+    """Position, world space."""
+    q_error: Float[Array, "n"]
+    """Bound on its rounding error, world units."""
+    n: Float[Array, "n 3"]
+    """Unit normal of the triangle."""
+    emission: Float[Array, "n 3"]
+    """Emitted radiance."""
+    inverse_density: Float[Array, "n"]
+    """One over the density per area, world units squared."""
+    emits_back: Bool[Array, "n"] | None
+    """False where only the front emits; None: both sides do everywhere."""
+
+
+def area_light_point(point: EmissivePoint, p: Float[Array, "n 3"]) -> LightPoint:
+    r"""An emissive point as a receiver sees it.
+
+    $$ \frac{1}{p(\omega)} = \frac{\cos\theta_l}{p_A\,d^2} $$
 
     Args:
-        scene: Its mesh, materials and textures are used.
-        area: The emissive triangles.
+        point: From `emissive_point`, one per receiver.
         p: Receivers, world space.
-        u: Uniform numbers in [0, 1).
     Returns:
         The points.
     Edge cases: a receiver at the very position of the point, and one behind a triangle that emits from its front only,
         has the inverse density 0.
+    """
+    to_light = point.q - p
+    distance = safe.norm(to_light)
+    wi = safe.normalise(to_light)
+    facing = -dot(point.n, wi)
+    if point.emits_back is not None:
+        facing = jnp.where(point.emits_back, facing, jnp.maximum(facing, 0))
+    # Divided twice, since the square of a small distance may underflow.
+    inverse_density = safe.divide(safe.divide(point.inverse_density, distance), distance) * jnp.abs(facing)
+    return LightPoint(wi, offset_origin(point.q, point.n, point.q_error, -wi), point.emission, inverse_density)
+
+
+def emissive_point(scene: Scene, area: AreaLights, u: Float[Array, "n 2"]) -> EmissivePoint:
+    """A point on the emissive triangles, uniform on each and between them in proportion to their power.
+
+    Args:
+        scene: Its mesh, materials and textures are used.
+        area: The emissive triangles.
+        u: Uniform numbers in [0, 1).
+    Returns:
+        The points.
     """
     row, rest = invert_cdf(area.cdf, u[:, 0])
     face = area.triangle[row]
@@ -64,17 +98,9 @@ def area_light_point(
         uv = uv[corners[:, 0]] * (1 - w1 - w2) + uv[corners[:, 1]] * w1 + uv[corners[:, 2]] * w2
         emission = emission * texture_rgba(scene.textures, scene.materials.emission_texture[material], uv)[:, :3]
 
-    to_light = q - p
-    distance = safe.norm(to_light)
-    wi = safe.normalise(to_light)
-    facing = -dot(n_light, wi)
-    if scene.materials.emits_back is not None:
-        facing = jnp.where(scene.materials.emits_back[material], facing, jnp.maximum(facing, 0))
-    # Divided twice, since the square of a small distance may underflow.
-    inverse_density = safe.divide(safe.divide(area.area[row], distance), distance) / area.probability[row]
+    emits_back = None if scene.materials.emits_back is None else scene.materials.emits_back[material]
     q_error = ERROR_PER_COORDINATE * jnp.maximum(jnp.maximum(_largest(a), _largest(b)), _largest(c))
-    end = offset_origin(q, n_light, q_error, -wi)
-    return LightPoint(wi, end, emission, inverse_density * jnp.abs(facing))
+    return EmissivePoint(q, q_error, n_light, emission, area.area[row] / area.probability[row], emits_back)
 
 
 def punctual_light_point(

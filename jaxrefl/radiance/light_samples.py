@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrefl._types import AreaLights, Environment, GBuffer, Lights, PunctualLights, Rays, Scene
 from jaxrefl.core import cosine_hemisphere, dot, safe, stratified
-from jaxrefl.radiance.light_points import FAR, area_light_point, punctual_light_point
+from jaxrefl.radiance.light_points import FAR, area_light_point, emissive_point, punctual_light_point
 from jaxrefl.rays.offset import offset_origin
 from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
 
@@ -188,7 +188,7 @@ def sample_light_points(
 
 def _area(scene: Scene, area: AreaLights, receivers: Receivers, u: Float[Array, "n 2"]) -> LightPoints:
     """A point on the emissive triangles, uniform on each and between them in proportion to their power."""
-    found = area_light_point(scene, area, receivers.p, u)
+    found = area_light_point(emissive_point(scene, area, u), receivers.p)
     return _towards(receivers, found.wi, found.end, found.radiance * found.inverse_density[:, None])
 
 

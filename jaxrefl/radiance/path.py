@@ -21,7 +21,22 @@ from jaxtyping import Array, Float, UInt32
 
 from jaxrefl._types import Camera, Rays, Scene, Tracer
 from jaxrefl.core import owen_sobol, pixel_sequences, uniform
-from jaxrefl.radiance.path_step import arrive, gather, go_on, light_kinds, look_for_light, numbers, start
+from jaxrefl.radiance.light_points import area_density
+from jaxrefl.radiance.path_step import (
+    aim,
+    albedo_at,
+    answer,
+    arrive,
+    choose,
+    draw,
+    gather,
+    go_on,
+    light_kinds,
+    look_for_light,
+    numbers,
+    pick_lamps,
+    start,
+)
 from jaxrefl.radiance.path_types import CHANNELS, Batch, PathLight, PathOptions, Paths, Shadows, empty_shadows
 from jaxrefl.rays.blocks import block_size
 from jaxrefl.rays.camera_rays import camera_rays
@@ -82,18 +97,23 @@ def path_light(
 
 @functools.partial(jax.jit, static_argnames="sampler")
 def camera_samples(
-    camera: Camera, seed: UInt32[Array, ""], number: UInt32[Array, ""], *, sampler: str = "sobol"
-) -> tuple[Rays, UInt32[Array, "h w"], UInt32[Array, "h w"]]:
-    """One ray through a point of each pixel, with the random numbers its path uses.
+    camera: Camera, seed: UInt32[Array, "*s"], number: UInt32[Array, "*s"], *, sampler: str = "sobol"
+) -> tuple[Rays, UInt32[Array, "*s h w"], UInt32[Array, "*s h w"]]:
+    """Rays through points of each pixel, with the random numbers their paths use.
 
     Args:
         camera: The camera.
-        seed: Seed of the image.
-        number: Number of the sample; samples of a pixel are points of one low-discrepancy sequence.
+        seed: Seed of the image that each sample belongs to.
+        number: Numbers of the samples; those of a pixel are points of one low-discrepancy sequence.
         sampler: As `PathOptions.sampler`.
     Returns:
-        Rays [h w], their sequences and their numbers.
+        Rays [*s h w], their sequences and their numbers. Many samples in one call keep the blocks of the path tracer
+        full where images are small.
     """
+    if number.ndim:
+        one = functools.partial(camera_samples, camera, sampler=sampler)
+        flat = jax.vmap(one)(jnp.broadcast_to(seed, number.shape).reshape(-1), number.reshape(-1))
+        return jax.tree.map(lambda x: x.reshape(*number.shape, *x.shape[1:]), flat)
     count = jnp.arange(camera.height * camera.width, dtype=jnp.int32)
     sequence = pixel_sequences(seed, count).reshape(camera.height, camera.width)
     numbers = jnp.broadcast_to(number, sequence.shape)
@@ -126,6 +146,9 @@ class _Block:
     def __init__(self, scene: Scene, tracer: Tracer, batch: Batch, count: int, options: PathOptions, layered: bool):
         self.scene, self.tracer, self.batch, self.options, self.layered = scene, tracer, batch, options, layered
         self.kinds = light_kinds(scene.lights)
+        self.per_area = None
+        if scene.lights.area is not None:
+            self.per_area = area_density(scene.lights.area, scene.mesh.faces.shape[0])
         self.ambient = bool(np.asarray(scene.lights.ambient).any())
         self.sums = jnp.zeros((batch.sequence.shape[0] * (CHANNELS if layered else 1), 3), jnp.float32)
         self.paths: Paths = start(batch, count=count)
@@ -144,10 +167,11 @@ class _Block:
         hits = self.tracer.closest(self.paths.rays, active=active)
         scene, paths, options = self.scene, self.paths, self.options
         points = build_gbuffer(scene, paths.rays, hits)
-        random = numbers(self.batch, paths, options=options)
-        vertex = arrive(scene, paths, points, random, options=options)
+        random = numbers(paths, options=options)
+        vertex = arrive(scene, paths, points, albedo_at(points), random, options=options)
         self.sums = gather(
             scene,
+            self.per_area,
             self.sums,
             paths,
             vertex,
@@ -158,6 +182,10 @@ class _Block:
             layered=self.layered,
         )
         if self.kinds:
-            self.shadows = look_for_light(scene, paths, vertex, kinds=self.kinds, options=options)
-        self.paths = go_on(scene, self.batch, paths, vertex, options=options)
+            lamps = pick_lamps(scene, random, kinds=self.kinds)
+            light, density = aim(scene, vertex, lamps, kinds=self.kinds)
+            response = answer(vertex, light, options=options)
+            self.shadows = look_for_light(paths, vertex, light, density, response, options=options)
+        sample = choose(scene, vertex, draw(vertex), options=options)
+        self.paths = go_on(self.batch, paths, vertex, sample, options=options)
         return True

@@ -17,9 +17,9 @@ from jaxrefl.core import dot, owen_sobol, safe, uniform
 from jaxrefl.radiance.light_points import (
     FAR,
     LightPoint,
-    area_density,
     area_light_point,
     density_of_hit,
+    emissive_point,
     punctual_light_point,
 )
 from jaxrefl.radiance.path_types import (
@@ -28,6 +28,7 @@ from jaxrefl.radiance.path_types import (
     EMITTED,
     REFLECTED,
     Batch,
+    Lamps,
     PathOptions,
     Paths,
     Shadows,
@@ -35,12 +36,14 @@ from jaxrefl.radiance.path_types import (
 )
 from jaxrefl.rays.offset import offset_origin
 from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
-from jaxrefl.surface.bsdf import STRAIGHT, lobes_of, respond, scatter
-from jaxrefl.surface.specular import diffuse_albedo
+from jaxrefl.surface.bsdf import STRAIGHT, Draws, Response, Scattered, draw_directions, lobes_of, respond, scatter
+from jaxrefl.surface.specular import LobeAlbedo, diffuse_albedo, lobe_albedo
 
 PAIRS = 4
 """Pairs of random numbers per vertex; pair 0 of a sequence is left to whoever makes the rays."""
 _LIGHT, _DIRECTION, _LOBE, _ROULETTE = range(PAIRS)
+_CERTAIN = 1e30
+"""Density, 1/sr, of a direction that only a light sample can find."""
 
 
 def light_kinds(lights: Lights) -> tuple[str, ...]:
@@ -75,6 +78,8 @@ def start(batch: Batch, *, count: int) -> Paths:
         depth=jnp.zeros((count,), jnp.int32),
         layer=jnp.zeros((count,), jnp.int32),
         eta_scale=jnp.zeros((count,), jnp.float32),
+        sequence=jnp.zeros((count,), jnp.uint32),
+        number=jnp.zeros((count,), jnp.uint32),
         next_job=jnp.asarray(0, jnp.int32),
     )
     return _refill(batch, blank, jnp.zeros((count,), bool))
@@ -101,31 +106,40 @@ def _refill(batch: Batch, paths: Paths, alive: Bool[Array, "n"]) -> Paths:
         depth=jnp.where(fresh, zero, paths.depth),
         layer=jnp.where(fresh, zero + EMITTED, paths.layer),
         eta_scale=jnp.where(fresh, 1, paths.eta_scale),
+        sequence=jnp.where(fresh, batch.sequence[row], paths.sequence),
+        number=jnp.where(fresh, batch.number[row], paths.number),
         next_job=paths.next_job + fresh.sum(dtype=jnp.int32),
     )
 
 
 @functools.partial(jax.jit, static_argnames="options")
-def numbers(batch: Batch, paths: Paths, *, options: PathOptions) -> Float[Array, "8 n"]:
+def numbers(paths: Paths, *, options: PathOptions) -> Float[Array, "8 n"]:
     """Random numbers of the vertex at which each path is about to arrive.
 
     Args:
-        batch: The rays.
         paths: The paths; what they draw depends on their ray and their depth alone, not on their slot.
         options: Static knobs.
     Returns:
         Numbers in [0, 1).
     """
-    row = jnp.maximum(paths.job, 0)
-    sequence, number = batch.sequence[row], batch.number[row]
     draw = owen_sobol if options.sampler == "sobol" else uniform
     first = paths.depth.astype(jnp.uint32) * jnp.uint32(PAIRS) + jnp.uint32(1)
-    return jnp.stack([x for i in range(PAIRS) for x in draw(sequence, number, first + jnp.uint32(i))])
+    return jnp.stack([x for i in range(PAIRS) for x in draw(paths.sequence, paths.number, first + jnp.uint32(i))])
+
+
+albedo_at = jax.jit(lobe_albedo)
+"""`surface.lobe_albedo` as a stage of its own."""
 
 
 @functools.partial(jax.jit, static_argnames="options")
 def arrive(
-    scene: Scene, paths: Paths, points: GBuffer, random: Float[Array, "8 n"], *, options: PathOptions
+    scene: Scene,
+    paths: Paths,
+    points: GBuffer,
+    albedo: LobeAlbedo,
+    random: Float[Array, "8 n"],
+    *,
+    options: PathOptions,
 ) -> Vertex:
     """What paths have arrived at.
 
@@ -133,6 +147,7 @@ def arrive(
         scene: The scene.
         paths: The paths whose rays were cast.
         points: What they hit.
+        albedo: From `albedo_at`.
         random: Numbers of this vertex.
         options: Static knobs.
     Returns:
@@ -148,12 +163,13 @@ def arrive(
         choice = random[2 * _LOBE]
         stays = stays & (choice < points.opacity)
         random = random.at[2 * _LOBE].set(jnp.clip(safe.divide(choice, points.opacity), 0, 1))
-    return Vertex(points, lobes_of(points, options.scattering), random, throughput, stays)
+    return Vertex(points, lobes_of(points, albedo, options.scattering), random, throughput, stays)
 
 
 @functools.partial(jax.jit, static_argnames=("kinds", "ambient", "layered"), donate_argnames="sums")
 def gather(
     scene: Scene,
+    per_area: Float[Array, "f"] | None,
     sums: Float[Array, "m 3"],
     paths: Paths,
     vertex: Vertex,
@@ -170,6 +186,7 @@ def gather(
 
     Args:
         scene: The scene.
+        per_area: From `light_points.area_density`; None: nothing emits.
         sums: Sums of the batch, a row per ray and channel; consumed.
         paths: The paths before they go on.
         vertex: Where they are.
@@ -187,8 +204,7 @@ def gather(
     parts = zip(shadows.layers, shadows.light, shadows.factors, strict=True)
     rows = [_rows(lit, *part, layered) for part in parts]
     seen = jnp.zeros_like(points.p)
-    if points.emission is not None and scene.lights.area is not None:
-        per_area = area_density(scene.lights.area, scene.mesh.faces.shape[0])
+    if points.emission is not None and per_area is not None:
         cos = jnp.abs(dot(points.n, points.wo))
         found = density_of_hit(per_area, points.triangle, points.t, cos) / len(kinds)
         seen = points.emission * _by_chance(paths.density, found)[:, None]
@@ -207,7 +223,7 @@ def gather(
 def _own(
     paths: Paths, layer: int, light: Float[Array, "n 3"], factor: Float[Array, "n 3"]
 ) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Layer, light and first surface's weight of what a lobe scatters: at the first surface its own, later the path's."""
+    """Layer, light and first weight of what a lobe scatters: at the first surface its own, later those of the path."""
     first = paths.layer == EMITTED
     own = first[:, None]
     layers = jnp.where(first, jnp.full_like(paths.layer, layer), paths.layer)
@@ -247,23 +263,44 @@ def _sky(lights: Lights, paths: Paths, kinds: tuple[str, ...], ambient: bool) ->
     return seen
 
 
-@functools.partial(jax.jit, static_argnames=("kinds", "options"))
-def look_for_light(scene: Scene, paths: Paths, vertex: Vertex, *, kinds: tuple[str, ...], options: PathOptions) -> Shadows:
+@functools.partial(jax.jit, static_argnames="options")
+def answer(vertex: Vertex, light: LightPoint, *, options: PathOptions) -> Response:
+    """What each lobe makes of a light.
+
+    Args:
+        vertex: Where paths are.
+        light: From `aim`.
+        options: Static knobs.
+    Returns:
+        Values and densities of the lobes.
+    """
+    return respond(vertex.points, vertex.lobes, light.wi, options.scattering)
+
+
+@functools.partial(jax.jit, static_argnames="options")
+def look_for_light(
+    paths: Paths,
+    vertex: Vertex,
+    light: LightPoint,
+    density: Float[Array, "n"],
+    response: Response,
+    *,
+    options: PathOptions,
+) -> Shadows:
     """One light sample per path, with what each lobe makes of it.
 
     Args:
-        scene: The scene.
         paths: The paths, before they go on.
         vertex: Where they are.
-        kinds: From `light_kinds`, not empty.
+        light: From `aim`.
+        density: From `aim`.
+        response: From `answer`.
         options: Static knobs.
     Returns:
         Shadow rays, and the contributions to the two layers.
     Source: [PBRT4] §13.4.
     """
     points, lobes = vertex.points, vertex.lobes
-    light, density = _one_light(scene, points, vertex.numbers, kinds)
-    response = respond(points, lobes, light.wi, options.scattering)
     arriving = vertex.throughput * light.radiance * light.inverse_density[:, None]
     parts = (
         (DIFFUSE, response.diffuse, 1 - lobes.specular, response.diffuse_density),
@@ -287,55 +324,114 @@ def look_for_light(scene: Scene, paths: Paths, vertex: Vertex, *, kinds: tuple[s
     )
 
 
-def _one_light(
-    scene: Scene, points: GBuffer, random: Float[Array, "8 n"], kinds: tuple[str, ...]
-) -> tuple[LightPoint, Float[Array, "n"]]:
-    """A point on one light of one kind, and its density; infinite for lights that paths cannot hit by chance."""
-    lights, u = scene.lights, jnp.stack(list(random[2 * _LIGHT : 2 * _LIGHT + 2]), -1)
-    which = random[2 * _ROULETTE + 1] * len(kinds)
-    kind = jnp.minimum(which.astype(jnp.int32), len(kinds) - 1)
-    rest = which - kind.astype(which.dtype)
+@functools.partial(jax.jit, static_argnames="kinds")
+def aim(scene: Scene, vertex: Vertex, lamps: Lamps, *, kinds: tuple[str, ...]) -> tuple[LightPoint, Float[Array, "n"]]:
+    """A point on one light of one kind, and the density with which it was found.
+
+    Args:
+        scene: The scene.
+        vertex: Where paths are.
+        lamps: From `pick_lamps`.
+        kinds: From `light_kinds`, not empty.
+    Returns:
+        The points, and their densities, 1/sr; huge for lights that paths cannot hit by chance.
+    """
+    points, random = vertex.points, vertex.numbers
     found: list[tuple[LightPoint, Float[Array, n]]] = []
-    if lights.area is not None:
-        point = area_light_point(scene, lights.area, points.p, u)
-        found.append((point, safe.divide(jnp.ones_like(rest), point.inverse_density)))
-    if "environment" in kinds and lights.environment is not None:
-        wi, radiance, density = sample_environment(lights.environment, u)
-        found.append((LightPoint(wi, wi * FAR, radiance, safe.divide(jnp.ones_like(rest), density)), density))
-    if lights.punctual is not None:
-        count = lights.punctual.directional.shape[0]
-        row = jnp.minimum((rest * count).astype(jnp.int32), count - 1)
-        light = jax.tree.map(lambda x: x[row], lights.punctual)
-        point = punctual_light_point(light, points.p, points.p_error, u)
-        found.append((dataclasses.replace(point, inverse_density=point.inverse_density * count), jnp.full_like(rest, 1e30)))
+    if lamps.area is not None:
+        point = area_light_point(lamps.area, points.p)
+        found.append((point, safe.divide(jnp.ones_like(points.t), point.inverse_density)))
+    if lamps.sky is not None:
+        wi, radiance, density = lamps.sky
+        found.append((LightPoint(wi, wi * FAR, radiance, safe.divide(jnp.ones_like(density), density)), density))
+    if lamps.punctual is not None and scene.lights.punctual is not None:
+        point = punctual_light_point(lamps.punctual, points.p, points.p_error, _pair(random, _LIGHT))
+        count = scene.lights.punctual.directional.shape[0]
+        point = dataclasses.replace(point, inverse_density=point.inverse_density * count)
+        found.append((point, jnp.full_like(points.t, _CERTAIN)))
     point, density = found[0]
     for number, other in enumerate(found[1:], start=1):
-        chosen = kind == number
+        chosen = lamps.kind == number
         pick = lambda x, y, c=chosen: jnp.where(c.reshape(-1, *[1] * (x.ndim - 1)), y, x)  # noqa: E731
         point, density = jax.tree.map(pick, (point, density), other)
     return dataclasses.replace(point, inverse_density=point.inverse_density * len(kinds)), density / len(kinds)
 
 
-@functools.partial(jax.jit, static_argnames="options")
-def go_on(scene: Scene, batch: Batch, paths: Paths, vertex: Vertex, *, options: PathOptions) -> Paths:
-    """Send the paths on their way, end the ones that are done, and give their slots to the next rays.
+@functools.partial(jax.jit, static_argnames="kinds")
+def pick_lamps(scene: Scene, random: Float[Array, "8 n"], *, kinds: tuple[str, ...]) -> Lamps:
+    """One light of each kind per path: all that can be looked up without knowing who looks.
 
     Args:
         scene: The scene.
+        random: Numbers of the vertex.
+        kinds: From `light_kinds`, not empty.
+    Returns:
+        The lights.
+    """
+    lights, u = scene.lights, _pair(random, _LIGHT)
+    which = random[2 * _ROULETTE + 1] * len(kinds)
+    kind = jnp.minimum(which.astype(jnp.int32), len(kinds) - 1)
+    area, sky, punctual = None, None, None
+    if lights.area is not None:
+        area = emissive_point(scene, lights.area, u)
+    if "environment" in kinds and lights.environment is not None:
+        sky = sample_environment(lights.environment, u)
+    if lights.punctual is not None:
+        count = lights.punctual.directional.shape[0]
+        row = jnp.minimum(((which - kind.astype(which.dtype)) * count).astype(jnp.int32), count - 1)
+        punctual = jax.tree.map(lambda x: x[row], lights.punctual)
+    return Lamps(kind, area, sky, punctual)
+
+
+def _pair(random: Float[Array, "8 n"], pair: int) -> Float[Array, "n 2"]:
+    return jnp.stack([random[2 * pair], random[2 * pair + 1]], -1)
+
+
+@jax.jit
+def draw(vertex: Vertex) -> Draws:
+    """A direction from each lobe.
+
+    Args:
+        vertex: Where paths are.
+    Returns:
+        The directions.
+    """
+    return draw_directions(vertex.points, vertex.lobes, _pair(vertex.numbers, _DIRECTION))
+
+
+@functools.partial(jax.jit, static_argnames="options")
+def choose(scene: Scene, vertex: Vertex, draws: Draws, *, options: PathOptions) -> Scattered:
+    """The direction in which each path goes on.
+
+    Args:
+        scene: The scene.
+        vertex: Where paths are.
+        draws: From `draw`.
+        options: Static knobs.
+    Returns:
+        Directions with weights and densities.
+    """
+    thin = None
+    if vertex.points.transmission is not None:
+        thin = scene.materials.thin[jnp.maximum(vertex.points.material, 0)]
+    choice = _pair(vertex.numbers, _LOBE)
+    return scatter(vertex.points, vertex.lobes, draws, thin, choice, options.scattering)
+
+
+@functools.partial(jax.jit, static_argnames="options")
+def go_on(batch: Batch, paths: Paths, vertex: Vertex, sample: Scattered, *, options: PathOptions) -> Paths:
+    """Send the paths on their way, end the ones that are done, and give their slots to the next rays.
+
+    Args:
         batch: The rays.
         paths: The paths as they arrived.
         vertex: Where they are.
+        sample: From `choose`.
         options: Static knobs.
     Returns:
         The paths as they leave.
     """
     points, random = vertex.points, vertex.numbers
-    thin = None
-    if points.transmission is not None:
-        thin = scene.materials.thin[jnp.maximum(points.material, 0)]
-    direction, choice = (jnp.stack(list(random[2 * i : 2 * i + 2]), -1) for i in (_DIRECTION, _LOBE))
-    sample = scatter(points, vertex.lobes, thin, direction, choice, options.scattering)
-
     straight = points.valid & ~vertex.stays
     lobe = jnp.where(straight, STRAIGHT, sample.lobe)
     passes = straight[:, None]
@@ -362,6 +458,8 @@ def go_on(scene: Scene, batch: Batch, paths: Paths, vertex: Vertex, *, options: 
         depth=depth,
         layer=jnp.where((paths.layer == EMITTED) & ~straight, lobe + 1, paths.layer),
         eta_scale=eta_scale,
+        sequence=paths.sequence,
+        number=paths.number,
         next_job=paths.next_job,
     )
     return _refill(batch, gone, alive)

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from jaxrefl._types import GBuffer, Rays
+from jaxrefl._types import GBuffer, PunctualLights, Rays
+from jaxrefl.radiance.light_points import EmissivePoint
 from jaxrefl.surface.bsdf import Lobes, Scattering
 
 EMITTED, DIFFUSE, REFLECTED, REFRACTED = 0, 1, 2, 3
@@ -97,12 +98,16 @@ class Paths(eqx.Module):
     """EMITTED before the first surface, then the layer the path contributes to."""
     eta_scale: Float[Array, "n"]
     """Compression of radiance by the media that the path has entered, for the roulette."""
+    sequence: UInt32[Array, "n"]
+    """Sequence of random numbers of each path."""
+    number: UInt32[Array, "n"]
+    """Number of its point in that sequence."""
     next_job: Int[Array, ""]
     """First ray of the batch that no slot has had yet."""
 
 
 class Shadows(eqx.Module):
-    """Light samples whose shadow rays are under way, with what they bring to each of two layers if nothing blocks them."""
+    """Light samples whose shadow rays are under way, and what they bring to each of two layers if nothing is there."""
 
     rays: Rays
     """Shadow rays [n]."""
@@ -131,6 +136,19 @@ class Vertex(eqx.Module):
     """With the absorption on the way here."""
     stays: Bool[Array, "n"]
     """True where the path meets the surface, False where it passes a cut-out, misses, or the slot is empty."""
+
+
+class Lamps(eqx.Module):
+    """One candidate of each kind of light per path, whoever looks at it."""
+
+    kind: Int[Array, "n"]
+    """Which of the kinds is meant."""
+    area: EmissivePoint | None
+    """A point on the emissive triangles."""
+    sky: tuple[Float[Array, "n 3"], Float[Array, "n 3"], Float[Array, "n"]] | None
+    """A direction to the environment, the radiance from there and its density."""
+    punctual: PunctualLights | None
+    """A punctual light [n]."""
 
 
 def empty_shadows(count: int) -> Shadows:

@@ -63,8 +63,8 @@ class Material:
     emits_back: bool = True
     """True: both sides emit; False: only the side the triangles face."""
     conductor: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    """Index of refraction of a metal, real and imaginary part per channel; `base_colour` then multiplies its reflectance;
-    None: Schlick's Fresnel term with F0 = `base_colour`."""
+    """Index of refraction of a metal, real and imaginary part per channel; `base_colour` then multiplies its
+    reflectance; None: Schlick's Fresnel term with F0 = `base_colour`."""
     coupled: bool = False
     """True: diffuse light passes the interface on its way in and out and bounces beneath it (plastic); `base_colour` is
     the albedo beneath the interface."""

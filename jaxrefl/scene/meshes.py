@@ -97,8 +97,8 @@ def _unshared(part: Part) -> Part:
 
 def _uses_texture(part: Part) -> bool:
     m = part.material
-    images = (m.base_colour_texture, m.metallic_roughness_texture, m.normal_texture, m.emission_texture, m.opacity_texture)
-    return any(image is not None for image in images)
+    colours = (m.base_colour_texture, m.emission_texture, m.opacity_texture)
+    return any(image is not None for image in (*colours, m.metallic_roughness_texture, m.normal_texture))
 
 
 def _stacked(parts: list[Part], name: str, columns: int) -> np.ndarray:

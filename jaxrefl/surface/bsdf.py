@@ -7,8 +7,8 @@ $$ f \cos\theta_i = \underbrace{(1 - E_o)\,\tfrac{\rho'}{\pi}\,c(\omega_i) \cos\
    + \underbrace{(1 - F(h))\,b_t\,\tau\,(\dots)}_{\text{refraction}} $$
 
 with the lobe's albedo $E_o$, the diffuse albedo $\rho'$, the coupling $c$ of `surface.coupling`, the compensation for
-several bounces between microfacets $b = 1 + F_0 (1/E_{ss} - 1)$ and the share $\tau$ of refracted light. Integrals are those of
-`surface.specular`, so the images agree with `composite` up to the average of F over the lobe.
+several bounces between microfacets $b = 1 + F_0 (1/E_{ss} - 1)$ and the share $\tau$ of refracted light. Integrals are
+those of `surface.specular`, so the images agree with `composite` up to the average of F over the lobe.
 
 At alpha 0 the specular lobes are Dirac deltas: their evaluation is 0 and their samples have the density 0, which marks
 directions that no light sample can find.
@@ -37,10 +37,10 @@ from jaxrefl.core import (
     to_local,
     to_world,
 )
-from jaxrefl.core.albedo import ggx_albedo, lobe_fresnel_cosine
 from jaxrefl.core.safe import divide, normalise
 from jaxrefl.surface.coupling import coupling
 from jaxrefl.surface.specular import (
+    LobeAlbedo,
     dielectric_fresnel,
     diffuse_albedo,
     keep_above,
@@ -48,7 +48,7 @@ from jaxrefl.surface.specular import (
     reflective,
     relative_eta,
     specular_colour,
-    specular_weight,
+    weight_of_albedo,
 )
 
 DIFFUSE, REFLECTED, REFRACTED, STRAIGHT = 0, 1, 2, 3
@@ -121,11 +121,12 @@ class Response(eqx.Module):
     """Density of specular samples, 1/sr."""
 
 
-def lobes_of(points: GBuffer, model: Scattering) -> Lobes:
+def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
     """The lobes of each surface as its viewer sees them.
 
     Args:
         points: Points [n].
+        albedo: Their `surface.lobe_albedo`.
         model: Which model of rough surfaces.
     Returns:
         Albedos and probabilities.
@@ -134,9 +135,8 @@ def lobes_of(points: GBuffer, model: Scattering) -> Lobes:
     wo = to_local(points.wo, points.ns)
     wo = jnp.stack([wo[:, 0], wo[:, 1], jnp.maximum(wo[:, 2], 1e-4)], -1)
     wo = normalise(wo)
-    specular = specular_weight(points, multiple_scattering=model.multiple_scattering)
-    scale, bias = ggx_albedo(wo[:, 2], points.alpha)
-    single = jnp.maximum(scale + bias, 1e-3)
+    specular = weight_of_albedo(points, albedo, multiple_scattering=model.multiple_scattering)
+    single = jnp.maximum(albedo.scale + albedo.bias, 1e-3)
     boost = jnp.broadcast_to(single[:, None], specular.shape)
     if model.multiple_scattering:
         boost = boost * (1 + specular_colour(points) * (1 / single - 1)[:, None])
@@ -147,7 +147,7 @@ def lobes_of(points: GBuffer, model: Scattering) -> Lobes:
         share = points.transmission * (1 - points.metallic)
         refracted = points.base_colour * share[:, None]
         if model.multiple_scattering:
-            refracted = refracted * _refraction_boost(points, wo[:, 2], rest)[:, None]
+            refracted = refracted * _refraction_boost(points, albedo, rest)[:, None]
         into = luminance(rest * points.base_colour) * share
     upper, lower = luminance(specular) + into, luminance(diffuse)
     # Neither lobe below a tenth while it is there at all: what the luminance misses in one channel stays bounded.
@@ -156,10 +156,9 @@ def lobes_of(points: GBuffer, model: Scattering) -> Lobes:
     return Lobes(wo, specular, boost, single, diffuse, refracted, p_diffuse)
 
 
-def _refraction_boost(points: GBuffer, cos_o: Float[Array, "n"], rest: Float[Array, "n 3"]) -> Float[Array, "n"]:
+def _refraction_boost(points: GBuffer, albedo: LobeAlbedo, rest: Float[Array, "n 3"]) -> Float[Array, "n"]:
     """Compensation for the refracted light that single scattering loses, so that with the reflection all is there."""
-    scale, bias = ggx_albedo(cos_o, points.alpha)
-    single = (scale + bias) * (1 - dielectric_fresnel(points, lobe_fresnel_cosine(cos_o, points.alpha)))
+    single = (albedo.scale + albedo.bias) * (1 - dielectric_fresnel(points, albedo.cosine))
     boost = divide(rest[:, 1], single, fill=1.0)
     # From inside the average Fresnel term is too poor an approximation to divide by.
     return jnp.where(points.outside & (points.alpha > 0), jnp.clip(boost, 1, 4), 1)
@@ -199,11 +198,33 @@ def respond(points: GBuffer, lobes: Lobes, wi: Float[Array, "n 3"], model: Scatt
     )
 
 
+class Draws(eqx.Module):
+    """Random directions, before a lobe is chosen."""
+
+    diffuse: Float[Array, "n 3"]
+    """Unit direction from the cosine lobe, world space."""
+    h: Float[Array, "n 3"]
+    """Unit normal of a visible microfacet, local."""
+
+
+def draw_directions(points: GBuffer, lobes: Lobes, u: Float[Array, "n 2"]) -> Draws:
+    """One direction from each lobe.
+
+    Args:
+        points: Points [n].
+        lobes: From `lobes_of`.
+        u: Uniform numbers; both lobes share them, since one of the two is used.
+    Returns:
+        The directions.
+    """
+    return Draws(cosine_hemisphere(u, points.ns), sample_visible_normal(lobes.wo, points.alpha, u))
+
+
 def scatter(
     points: GBuffer,
     lobes: Lobes,
+    draws: Draws,
     thin: Bool[Array, "n"] | None,
-    u: Float[Array, "n 2"],
     choice: Float[Array, "n 2"],
     model: Scattering,
 ) -> Scattered:
@@ -212,8 +233,8 @@ def scatter(
     Args:
         points: Points [n].
         lobes: From `lobes_of`.
+        draws: From `draw_directions`.
         thin: True where the material is a pane without volume; None: nothing is refractive.
-        u: Uniform numbers for the direction.
         choice: Uniform numbers that choose the lobe, and between reflection and refraction.
         model: Which model of rough surfaces.
     Returns:
@@ -222,11 +243,10 @@ def scatter(
         that microfacets mask have the weight 0.
     """
     is_diffuse = choice[:, 0] < lobes.p_diffuse
-    wd = cosine_hemisphere(u, points.ns)
+    wd, h = draws.diffuse, draws.h
     cos_d = dot(points.ns, wd)
     lit = jnp.where(dot(points.n, wd) > 0, coupling(points, cos_d), 0)
 
-    h = sample_visible_normal(lobes.wo, points.alpha, u)
     cos_h = dot(lobes.wo, h)
     local = reflect(lobes.wo, h)
     fresnel = _fresnel(points, cos_h) * lobes.boost

@@ -1,17 +1,18 @@
 r"""Diffuse light beneath a dielectric interface, which it passes on its way in and out (plastic, varnish, glaze).
 
-Light from $\omega_i$ that is not reflected enters, is scattered diffusely, and is partly reflected back by the interface
-from below, which goes on until it is absorbed or leaves:
+Light from $\omega_i$ that is not reflected enters, is scattered diffusely, and is partly reflected back by the
+interface from below, which goes on until it is absorbed or leaves:
 
 $$ f_d = \frac{\rho}{\pi}\,\frac{T(\omega_o)\,T(\omega_i)}{\eta^2\,(1 - \rho\,r)},\qquad T = 1 - E $$
 
 with the lobe's albedo E and the diffuse reflectance $r$ of the interface from below. Thermodynamics ties r to the mean
 albedo $\bar E$ from above, $1 - r = (1 - \bar E) / \eta^2$, so
 
-$$ f_d = \frac{\rho'}{\pi}\,T(\omega_o)\,\frac{T(\omega_i)}{1 - \bar E},\qquad \rho' = \rho\,\frac{1 - r}{1 - \rho\,r} $$
+$$ f_d = \frac{\rho'}{\pi}\,T(\omega_o)\,\frac{T(\omega_i)}{1 - \bar E},\qquad
+   \rho' = \rho\,\frac{1 - r}{1 - \rho\,r} $$
 
-whose albedo is $\rho' T(\omega_o)$: what `composite` shows of any material with the diffuse albedo $\rho'$. Only the
-dependence on $\omega_i$ is more than Lambert's law; the path tracer has it, faster light models leave it at its mean, 1.
+whose albedo is $\rho' T(\omega_o)$: what `composite` shows of any material with the diffuse albedo $\rho'$. Only
+the dependence on $\omega_i$ is more than Lambert's law; the path tracer has it, direct light leaves it at its mean, 1.
 
 Source: [KSK01] Kelemen and Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model", EG short papers
 2001, §3.

@@ -5,6 +5,8 @@ weighs in the image depends on the surface and the viewer alone and is computed 
 hits seen in reflections.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -70,7 +72,8 @@ def specular_colour(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
     Source: glTF 2.0 appendix B.
     """
     dielectric = jnp.broadcast_to(f0_from_eta(gbuffer.eta)[..., None], gbuffer.base_colour.shape)
-    return lerp(dielectric, _at_complex_index(gbuffer, jnp.ones_like(gbuffer.eta), gbuffer.base_colour), gbuffer.metallic)
+    metal = _at_complex_index(gbuffer, jnp.ones_like(gbuffer.eta), gbuffer.base_colour)
+    return lerp(dielectric, metal, gbuffer.metallic)
 
 
 def metal_fresnel(gbuffer: GBuffer, cos: Float[Array, "*b"]) -> Float[Array, "*b 3"]:
@@ -89,7 +92,8 @@ def _at_complex_index(gbuffer: GBuffer, cos: Float[Array, "*b"], other: Float[Ar
     """The reflectance of metals whose complex index is known, and that of the `other` ones."""
     if (metal := gbuffer.conductor) is None:
         return other
-    return jnp.where(metal.known[..., None], gbuffer.base_colour * fresnel_conductor(cos[..., None], metal.eta, metal.k), other)
+    exact = gbuffer.base_colour * fresnel_conductor(cos[..., None], metal.eta, metal.k)
+    return jnp.where(metal.known[..., None], exact, other)
 
 
 def dielectric_fresnel(gbuffer: GBuffer, cos: Float[Array, "*b"]) -> Float[Array, "*b"]:
@@ -156,6 +160,29 @@ def keep_above(wi: Float[Array, "*b 3"], n: Float[Array, "*b 3"]) -> Float[Array
     return jnp.where((height < GRAZING)[..., None], lifted, wi)
 
 
+class LobeAlbedo(NamedTuple):
+    """What the table of `core.albedo` says of each point's lobe; looked up once, used by all that depends on it."""
+
+    scale: Float[Array, "*b"]
+    """A: factor of F0 in the lobe's albedo under Schlick's Fresnel term."""
+    bias: Float[Array, "*b"]
+    """B: its constant part; A + B is the albedo for F = 1."""
+    cosine: Float[Array, "*b"]
+    """Cosine at which any other Fresnel term equals its average over the lobe."""
+
+
+def lobe_albedo(gbuffer: GBuffer) -> LobeAlbedo:
+    """The lobe's albedo as a function of its Fresnel term.
+
+    Args:
+        gbuffer: Any G-buffer.
+    Returns:
+        Scale, bias and the effective cosine.
+    """
+    cos_o = jnp.clip(dot(gbuffer.ns, gbuffer.wo), 1e-4, 1)
+    return LobeAlbedo(*ggx_albedo(cos_o, gbuffer.alpha), lobe_fresnel_cosine(cos_o, gbuffer.alpha))
+
+
 def specular_weight(
     gbuffer: GBuffer, *, fresnel: str = "exact", multiple_scattering: bool = True
 ) -> Float[Array, "*b 3"]:
@@ -177,22 +204,37 @@ def specular_weight(
     """
     if fresnel not in ("exact", "schlick"):
         raise ValueError(f"fresnel: expected 'exact' or 'schlick', got {fresnel!r}")
-    cos_o = jnp.clip(dot(gbuffer.ns, gbuffer.wo), 1e-4, 1)
-    scale, bias = ggx_albedo(cos_o, gbuffer.alpha)
+    return weight_of_albedo(gbuffer, lobe_albedo(gbuffer), fresnel=fresnel, multiple_scattering=multiple_scattering)
+
+
+def weight_of_albedo(
+    gbuffer: GBuffer, albedo: LobeAlbedo, *, fresnel: str = "exact", multiple_scattering: bool = True
+) -> Float[Array, "*b 3"]:
+    """`specular_weight` where the lobe's albedo has been looked up before.
+
+    Args:
+        gbuffer: Any G-buffer.
+        albedo: Its `lobe_albedo`.
+        fresnel: As for `specular_weight`.
+        multiple_scattering: As for `specular_weight`.
+    Returns:
+        Weight per channel, in [0, 1].
+    """
+    scale, bias, cosine = albedo
     single = scale + bias
     f0 = specular_colour(gbuffer)
     if fresnel == "exact":
-        dielectric = single * dielectric_fresnel(gbuffer, lobe_fresnel_cosine(cos_o, gbuffer.alpha))
+        dielectric = single * dielectric_fresnel(gbuffer, cosine)
     else:
         dielectric = f0_from_eta(gbuffer.eta) * scale + bias
     metal = gbuffer.base_colour * scale[..., None] + bias[..., None]
     if gbuffer.conductor is not None:
-        exact = single[..., None] * metal_fresnel(gbuffer, lobe_fresnel_cosine(cos_o, gbuffer.alpha))
+        exact = single[..., None] * metal_fresnel(gbuffer, cosine)
         metal = jnp.where(gbuffer.conductor.known[..., None], exact, metal)
-    albedo = lerp(jnp.broadcast_to(dielectric[..., None], metal.shape), metal, gbuffer.metallic)
+    weight = lerp(jnp.broadcast_to(dielectric[..., None], metal.shape), metal, gbuffer.metallic)
     if multiple_scattering:
-        albedo = albedo * (1 + f0 * (1 / jnp.maximum(single, 1e-3) - 1)[..., None])
-    return jnp.where(reflective(gbuffer)[..., None], jnp.clip(albedo, 0, 1), 0)
+        weight = weight * (1 + f0 * (1 / jnp.maximum(single, 1e-3) - 1)[..., None])
+    return jnp.where(reflective(gbuffer)[..., None], jnp.clip(weight, 0, 1), 0)
 
 
 def transmission_weight(gbuffer: GBuffer, specular: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
