@@ -19,6 +19,7 @@ from .environment import environment_radiance as environment_radiance
 from .environment import sample_environment as sample_environment
 from .errors import SceneError as SceneError
 from .errors import SceneWarning as SceneWarning
+from .export_mitsuba import export_mitsuba as export_mitsuba
 from .features import feature_reasons as feature_reasons
 from .features import find_features as find_features
 from .images import read_image as read_image

@@ -14,6 +14,7 @@ import numpy as np
 from jaxrefl._types import Camera
 from jaxrefl.scene.description import Description, Part, PunctualLight, Sky, matte
 from jaxrefl.scene.errors import SceneError
+from jaxrefl.scene.export_shapes import OTHER_SIDE
 from jaxrefl.scene.materials import unique_names
 from jaxrefl.scene.mitsuba_bsdfs import DEFAULT_COLOUR, Surface, SurfaceReader
 from jaxrefl.scene.mitsuba_cameras import read_camera
@@ -51,8 +52,9 @@ def describe_mitsuba(path: Path) -> Description:
             camera = read_camera(node)
             if camera is not None:
                 cameras[node.name or f"camera {i}"] = camera
-        names = unique_names([part.name for part in reader.parts])
-        parts = [dataclasses.replace(p, name=name) for p, name in zip(reader.parts, names, strict=True)]
+        parts = _with_both_sides(reader.parts)
+        names = unique_names([part.name for part in parts])
+        parts = [dataclasses.replace(part, name=name) for part, name in zip(parts, names, strict=True)]
         return Description(
             path.stem if path.stem != "scene" else path.absolute().parent.name,
             parts,
@@ -153,6 +155,16 @@ class _Reader:
         material = surface.material.replace(emission=(red, green, blue), emits_back=False)
         surface = dataclasses.replace(surface, material=material)
         return self.surfaces.with_number(emitter, surface, light, "emission_texture")
+
+
+def _with_both_sides(parts: list[Part]) -> list[Part]:
+    """The parts without those that `export_mitsuba` added for the backs of emissive ones, which then shine from both."""
+    names = {part.name for part in parts}
+    shown = [p for p in parts if not (p.name.endswith(OTHER_SIDE) and p.name.removesuffix(OTHER_SIDE) in names)]
+    return [
+        dataclasses.replace(p, material=p.material.replace(emits_back=True)) if p.name + OTHER_SIDE in names else p
+        for p in shown
+    ]
 
 
 def _part(node: Node, found: Geometry, surface: Surface) -> Part:

@@ -9,45 +9,19 @@ import contextlib
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxrefl.scene.errors import SceneError
+from jaxrefl.scene.notes import Notes
 
 VARIANT = "scalar_rgb"
 """Variant in which files are read: it needs no compiler, and its colours are linear Rec.709 like ours."""
 
 Triple = tuple[float, float, float]
-
-
-@dataclass
-class Notes:
-    """What was assumed, changed or ignored; what concerns several things is said once, with their names."""
-
-    _texts: list[str] = field(default_factory=list)
-    _groups: dict[str, list[str]] = field(default_factory=dict)
-
-    def add(self, text: str) -> None:
-        """A sentence of its own; said once."""
-        if text not in self._texts:
-            self._texts.append(text)
-
-    def group(self, text: str, name: str) -> None:
-        """A sentence that may hold for several things; `name` is one of them."""
-        names = self._groups.setdefault(text, [])
-        if name not in names:
-            names.append(name)
-
-    def sentences(self) -> list[str]:
-        """All of them: grouped ones first, each with the first five names and the number of the others."""
-        grouped = []
-        for text, names in self._groups.items():
-            more = f" and {len(names) - 5} more" * (len(names) > 5)
-            grouped.append(f"{text}: {', '.join(names[:5])}{more}")
-        return grouped + self._texts
 
 
 @dataclass(frozen=True)
