@@ -14,6 +14,7 @@ COMMANDS = {
     "render": "render a scene along a camera path",
     "compare": "render with several techniques and measure their errors",
     "report": "write the HTML report of a results folder",
+    "export": "write a scene for another renderer",
     "scenes": "list the built-in scenes",
     "bench": "measure the speed of this machine",
 }

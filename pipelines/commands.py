@@ -124,6 +124,19 @@ def info(argv: Sequence[str]) -> int:
     return 0
 
 
+def export(argv: Sequence[str]) -> int:
+    """`jaxrefl export`.
+
+    Args:
+        argv: Words after the command.
+    Returns:
+        Exit code.
+    """
+    from pipelines.export import main
+
+    return main(list(argv))
+
+
 def report(argv: Sequence[str]) -> int:
     """`jaxrefl report`.
 

@@ -38,6 +38,7 @@ Count = Annotated[int | None, *_optional(int, "N", "all of a camera file, otherw
 SizeFlag = Annotated[
     tuple[int, int] | None, *_optional(int, "WIDTH HEIGHT", "the camera file's, otherwise 960 540", nargs=2)
 ]
+CameraSize = Annotated[tuple[int, int] | None, *_optional(int, "WIDTH HEIGHT", "the camera's", nargs=2)]
 Samples = Annotated[int | None, *_optional(int, "N", "16 times the technique's own, at least 64")]
 SceneName = Annotated[str | None, *_optional(str, "SCENE", "the job's")]
 Pairs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="(default: the defaults)")]
