@@ -158,7 +158,7 @@ class _Reader:
 
 
 def _with_both_sides(parts: list[Part]) -> list[Part]:
-    """The parts without those that `export_mitsuba` added for the backs of emissive ones, which then shine from both."""
+    """The parts without those that `export_mitsuba` added for the backs of emissive ones, which shine both ways."""
     names = {part.name for part in parts}
     shown = [p for p in parts if not (p.name.endswith(OTHER_SIDE) and p.name.removesuffix(OTHER_SIDE) in names)]
     return [
