@@ -12,6 +12,7 @@ from collections.abc import Sequence
 COMMANDS = {
     "info": "tell what is in a scene",
     "render": "render a scene along a camera path",
+    "reference": "path trace images that errors can be measured against",
     "compare": "render with several techniques and measure their errors",
     "report": "write the HTML report of a results folder",
     "export": "write a scene for another renderer",
@@ -70,7 +71,7 @@ def help_text() -> str:
     Returns:
         Text that lists the commands.
     """
-    return HELP.format(commands="\n".join(f"  {name:9}{what}" for name, what in COMMANDS.items()))
+    return HELP.format(commands="\n".join(f"  {name:10}{what}" for name, what in COMMANDS.items()))
 
 
 def _dispatch(command: str, words: list[str]) -> int:
@@ -78,7 +79,7 @@ def _dispatch(command: str, words: list[str]) -> int:
         from pipelines.toml_tables import JobError, suggestion
 
         raise JobError(f"unknown command {command!r}; {suggestion(command, COMMANDS)}")
-    if command in ("render", "compare"):
+    if command in ("render", "compare", "reference"):
         _use_cache(words)
     from pipelines import commands
 

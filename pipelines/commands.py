@@ -38,6 +38,19 @@ Examples:
   jaxrefl compare --job job.toml --scheduler local:4 --out results/job
 """
 
+REFERENCE_HELP = """Path trace every frame of a camera path until it is good enough, with an error estimate per pixel.
+
+A frame stops as soon as one of --spp, --error and --time is reached; without any at 1024 samples per pixel or a
+relative error of 1 %. A run that is interrupted continues where it was; asking for more later continues too. Pixels are
+sampled at their centres, as techniques sample them, so that `jaxrefl compare --reference DIR` can measure errors pixel
+by pixel; --pixel box gives a picture with smooth edges instead.
+
+Examples:
+  jaxrefl reference cornell --spp 256 --size 480 270 --out results/reference
+  jaxrefl compare cornell --techniques raytrace --size 480 270 --reference results/reference --out results/errors
+  jaxrefl reference scene.glb --error 0.005 --time 3600 --out results/scene
+"""
+
 INFO_HELP = """Tell what is in a scene: triangles, materials, lights, cameras, features and what they switch on.
 
 Examples:
@@ -66,6 +79,39 @@ def compare(argv: Sequence[str]) -> int:
         Exit code.
     """
     return _run(CompareBase, argv, "compare", COMPARE_HELP)
+
+
+def reference(argv: Sequence[str]) -> int:
+    """`jaxrefl reference`.
+
+    Args:
+        argv: Words after the command.
+    Returns:
+        Exit code.
+    """
+    from pipelines.reference import run_reference
+    from pipelines.reference_flags import parse_reference
+
+    flags, job, goal = parse_reference(argv, description=REFERENCE_HELP)
+    command = shlex.join(["jaxrefl", "reference", *argv])
+    out = flags.out or Path("results") / f"{Path(flags.job or job.scene.source).stem}-reference"
+    result = run_reference(job, out, goal=goal, keep_state=flags.keep_state, command=command)
+    _reference_summary(result)
+    return 0
+
+
+def _reference_summary(result: "Result") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    names = ("relative_error", "standard_error", "seconds", "paths_per_second")
+    table = Table("frame", "spp", "relative error", "RMS standard error", "s", "paths/s", box=None, pad_edge=False)
+    for row in result.rows:
+        table.add_row(str(row["frame"]), str(row["spp"]), *(_mean([row[name]]) for name in names))
+    console = Console()
+    console.print(table)
+    where = f"frames worked on: {result.rendered}; images: {result.folder}/reference"
+    console.print(where, markup=False, highlight=False, soft_wrap=True)
 
 
 def _run(base: type, argv: Sequence[str], name: str, help: str) -> int:

@@ -16,8 +16,17 @@ from pipelines.job import Outputs
 from pipelines.knobs import Knob, knobs_of, technique_knobs
 
 
-def _optional(kind: type, metavar: str, hint: str, *, nargs: int = 1) -> Any:
-    """A flag that may be absent, without tyro's `{None}|...` in its help and without its greed for later words."""
+def optional_flag(kind: type, metavar: str, hint: str, *, nargs: int = 1) -> Any:
+    """A flag that may be absent, without tyro's `{None}|...` in its help and without its greed for later words.
+
+    Args:
+        kind: Reads one word.
+        metavar: What the help shows for the value.
+        hint: What the help says about the default.
+        nargs: How many words.
+    Returns:
+        Annotations for tyro.
+    """
     read = (lambda words: kind(words[0])) if nargs == 1 else (lambda words: tuple(kind(w) for w in words))
     spec = tyro.constructors.PrimitiveConstructorSpec(
         nargs=nargs,
@@ -29,22 +38,22 @@ def _optional(kind: type, metavar: str, hint: str, *, nargs: int = 1) -> Any:
     return spec, tyro.conf.arg(help_behavior_hint=f"(default: {hint})")
 
 
-Name = Annotated[str | None, *_optional(str, "NAME", "its first")]
-Axis = Annotated[str | None, *_optional(str, "AXIS", "the file's own")]
-File = Annotated[str | None, *_optional(str, "FILE", "none")]
-Folder = Annotated[str | None, *_optional(str, "DIR", "none")]
-Number = Annotated[float | None, *_optional(float, "NUMBER", "the file's own")]
-Count = Annotated[int | None, *_optional(int, "N", "all of a camera file, otherwise 1")]
+Name = Annotated[str | None, *optional_flag(str, "NAME", "its first")]
+Axis = Annotated[str | None, *optional_flag(str, "AXIS", "the file's own")]
+File = Annotated[str | None, *optional_flag(str, "FILE", "none")]
+Folder = Annotated[str | None, *optional_flag(str, "DIR", "none")]
+Number = Annotated[float | None, *optional_flag(float, "NUMBER", "the file's own")]
+Count = Annotated[int | None, *optional_flag(int, "N", "all of a camera file, otherwise 1")]
 SizeFlag = Annotated[
-    tuple[int, int] | None, *_optional(int, "WIDTH HEIGHT", "the camera file's, otherwise 960 540", nargs=2)
+    tuple[int, int] | None, *optional_flag(int, "WIDTH HEIGHT", "the camera file's, otherwise 960 540", nargs=2)
 ]
-CameraSize = Annotated[tuple[int, int] | None, *_optional(int, "WIDTH HEIGHT", "the camera's", nargs=2)]
-Samples = Annotated[int | None, *_optional(int, "N", "16 times the technique's own, at least 64")]
-SceneName = Annotated[str | None, *_optional(str, "SCENE", "the job's")]
+CameraSize = Annotated[tuple[int, int] | None, *optional_flag(int, "WIDTH HEIGHT", "the camera's", nargs=2)]
+Samples = Annotated[int | None, *optional_flag(int, "N", "16 times the technique's own, at least 64")]
+SceneName = Annotated[str | None, *optional_flag(str, "SCENE", "the job's")]
 Pairs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="(default: the defaults)")]
 OutFolder = Annotated[
     Path | None,
-    _optional(Path, "DIR", "")[0],
+    optional_flag(Path, "DIR", "")[0],
     tyro.conf.arg(aliases=["-o"], help_behavior_hint="(default: results/NAME, after the job file or the scene)"),
 ]
 
@@ -99,7 +108,7 @@ class RunFlags(SceneFlags):
     """Seed of all random numbers."""
     cold: bool = False
     """Let each technique compile everything it needs, so that compile times do not depend on the order; slower."""
-    scheduler: Annotated[str | None, *_optional(str, "local:N|tcp://HOST:PORT", "this process")] = None
+    scheduler: Annotated[str | None, *optional_flag(str, "local:N|tcp://HOST:PORT", "this process")] = None
     """Where to render: N processes of this machine, or a dask.distributed scheduler."""
     cache: Folder = None
     """Folder that keeps compiled code between runs."""
@@ -122,7 +131,7 @@ class CompareBase(RunFlags):
     techniques: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("raytrace", "envmap")
     """Techniques to compare."""
     reference: str = "raytrace"
-    """Technique that the errors are measured against, with knobs of its own."""
+    """What the errors are measured against: a technique with knobs of its own, or a folder of `jaxrefl reference`."""
     reference_samples: Samples = None
     """Samples of the reference."""
     reference_knobs: Pairs = ()

@@ -4,6 +4,7 @@ A flag and a key of a job file are the same thing: with `--job` the file's value
 """
 
 import dataclasses
+import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,13 +33,21 @@ def parse(base: type, argv: Sequence[str], *, prog: str, description: str) -> tu
         JobError: If the job file does not fit.
         SystemExit: If a flag does not fit (code 2), or help was asked for (code 0).
     """
-    kind, path = flags_class(base), _value_of("--job", argv)
+    kind, path = flags_class(base), value_of("--job", argv)
     job = None if path is None else read_job(Path(path))
     default = None if job is None else _defaults(kind, job)
     return tyro.cli(kind, args=list(argv), default=default, prog=prog, description=description), job
 
 
-def _value_of(flag: str, argv: Sequence[str]) -> str | None:
+def value_of(flag: str, argv: Sequence[str]) -> str | None:
+    """The word after a flag, before the words are parsed.
+
+    Args:
+        flag: The flag.
+        argv: Words after the command's name.
+    Returns:
+        The word, or None if the flag is not there.
+    """
     for i, word in enumerate(argv):
         if word == flag and i + 1 < len(argv):
             return argv[i + 1]
@@ -57,7 +66,7 @@ def _defaults(kind: type, job: Job) -> Any:
     known = {f.name: f for f in dataclasses.fields(kind)}
     values["techniques" if "techniques" in known else "technique"] = job.techniques
     if "reference" in known and job.reference is not None:
-        values["reference"] = job.reference.technique
+        values["reference"] = job.reference.folder or job.reference.technique
     for name, knobs in knob_groups().items():
         given = {"light": job.light, "composite": job.composite}.get(name, job.technique.get(name, {}))
         if name in known:
@@ -106,7 +115,7 @@ def job_of(flags: Any, base: Job | None) -> Job:
         size=flags.size,
         seed=flags.seed,
         cold=flags.cold,
-        camera=_camera(flags.camera, old.camera),
+        camera=camera_of(flags.camera, old.camera),
         outputs=flags.outputs,
         reference=reference,
         light=light,
@@ -120,7 +129,15 @@ def _group(flags: Any, name: str) -> Knobs:
     return {} if group is None else dataclasses.asdict(group)
 
 
-def _camera(flags: CameraFlags, old: CameraPath) -> CameraPath:
+def camera_of(flags: CameraFlags, old: CameraPath) -> CameraPath:
+    """The camera path that flags describe.
+
+    Args:
+        flags: The flags `--camera.*`.
+        old: That of the job file.
+    Returns:
+        The path.
+    """
     given = {f.name: getattr(flags, f.name) for f in dataclasses.fields(CameraFlags)}
     # A camera named by a flag replaces whatever kind of path the job file has.
     for kind in ("file", "name"):
@@ -136,6 +153,11 @@ def _reference(flags: Any, base: Job | None) -> Reference | None:
     old = None if base is None else base.reference
     if not hasattr(flags, "reference"):
         return old
+    word = flags.reference
+    if word not in TECHNIQUES and (Path(word).is_dir() or os.sep in word):
+        if flags.reference_samples is not None or flags.reference_knobs:
+            raise JobError(f"--reference-samples and --reference-knobs would have no effect: {word} is a folder")
+        return Reference(folder=word)
     knobs = dict(old.knobs) if old is not None and old.technique == flags.reference else {}
     knobs |= key_values(flags.reference_knobs, flag="--reference-knobs")
     if flags.reference_samples is not None:

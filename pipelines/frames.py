@@ -17,6 +17,7 @@ from pipelines.job import Job
 from pipelines.layers import frame_channels, rgb_channels
 from pipelines.measure import Timed, rows, timed
 from pipelines.outputs import exr_bytes, json_text, png_bytes
+from pipelines.reference_folder import given_files
 from pipelines.stage import REFERENCE, Prepared, Stage, View
 from pipelines.stamp import stamp
 
@@ -59,9 +60,14 @@ def suffixes(job: Job, technique: str) -> tuple[str, ...]:
     wanted = {
         ".png": job.outputs.png,
         ".exr": job.outputs.exr or technique == REFERENCE,
-        ".layers.exr": job.outputs.layers,
+        # Those of a reference that was rendered before stay where they are.
+        ".layers.exr": job.outputs.layers and not (technique == REFERENCE and _is_given(job)),
     }
     return (*(suffix for suffix, on in wanted.items() if on), ".json")
+
+
+def _is_given(job: Job) -> bool:
+    return job.reference is not None and job.reference.folder is not None
 
 
 def render_unit(
@@ -77,6 +83,10 @@ def render_unit(
     Yields:
         The files of each missing frame, in order.
     """
+    if unit.technique == REFERENCE and _is_given(stage.job):
+        for number in unit.missing:
+            yield FrameFiles(REFERENCE, number, given_files(stage.job, stage.cameras, number), 0.0)
+        return
     prepared = stage.prepared(unit.technique)
     state = prepared.state
     for number in range(unit.first, unit.last + 1):

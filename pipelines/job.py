@@ -95,9 +95,11 @@ class Reference:
     """What errors are measured against."""
 
     technique: str = "raytrace"
-    """Any technique, with knobs of its own."""
+    """Any technique, with knobs of its own; left aside with `folder`."""
     knobs: dict[str, bool | int | float | str] = field(default_factory=dict)
     """Its knobs; without `samples`, a technique that has samples gets 16 times those of its own table, at least 64."""
+    folder: str | None = None
+    """A folder made by `jaxrefl reference`, whose images are used instead of rendering any; None: `technique`."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,13 @@ class Job:
     """Knobs of `jaxrefl.composite.Options`, shared by all techniques."""
     technique: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Knobs by technique."""
+    path: dict[str, Any] | None = None
+    """Knobs of the path tracer (`pipelines.path_knobs.PathKnobs`), for `jaxrefl reference`; None: their defaults."""
     digests: dict[str, str] = field(default_factory=dict)
     """SHA-256 of each input file; written on resolving, checked when it is there."""
 
     def __post_init__(self):
-        if not self.techniques:
+        if not self.techniques and self.path is None:
             raise JobError("techniques: expected at least one")
         if len(set(self.techniques)) < len(self.techniques):
             raise JobError(f"techniques: one is named twice: {', '.join(self.techniques)}")
@@ -200,7 +204,10 @@ def with_paths(job: Job, change: Callable[[str], str]) -> Job:
     scene = dataclasses.replace(scene, source=source, **optional)
     if camera.file is not None:
         camera = dataclasses.replace(camera, file=change(camera.file))
-    return dataclasses.replace(job, scene=scene, camera=camera)
+    reference = job.reference
+    if reference is not None and reference.folder is not None:
+        reference = dataclasses.replace(reference, folder=change(reference.folder))
+    return dataclasses.replace(job, scene=scene, camera=camera, reference=reference)
 
 
 def job_text(job: Job) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxrefl._types import GBuffer, Reflection
+from jaxrefl.radiance.progressive import Estimate
 
 
 def rgb_channels(image: Any, *, layer: str = "") -> dict[str, np.ndarray]:
@@ -66,3 +67,29 @@ def frame_channels(image: Any, gbuffer: GBuffer, diffuse: Any, reflection: Refle
     if gbuffer.motion is not None:
         planes |= _split(gbuffer.motion, "motion", "XY")
     return planes
+
+
+def path_channels(estimate: Estimate, *, refractive: bool) -> dict[str, np.ndarray]:
+    """All channels of one frame of the reference, under the names of `frame_channels`.
+
+    Args:
+        estimate: Mean light and its standard error.
+        refractive: Whether the scene refracts.
+    Returns:
+        [h w] float32 planes by channel name. `R G B` is the sum of `emission` (the background included),
+            `diffuse_weighted`, `reflection_weighted` and `transmitted_weighted`; `error` is its standard error, where
+            it is known.
+    """
+    light = estimate.light
+    layers = {
+        "": estimate.radiance,
+        "emission": light.emitted,
+        "diffuse": light.emitted + light.diffuse,
+        "reflection": light.reflected,
+        "diffuse_weighted": light.diffuse_weighted,
+        "reflection_weighted": light.reflected_weighted,
+        "transmitted": light.refracted if refractive else None,
+        "transmitted_weighted": light.refracted_weighted if refractive else None,
+        "error": estimate.error,
+    }
+    return {k: v for name, x in layers.items() if x is not None for k, v in _split(x, name, "RGB").items()}

@@ -48,6 +48,8 @@ def _interval(job: Job, name: str, techniques: Mapping[str, Technique]) -> int:
     """
     chosen, values = name, job.technique.get(name, {})
     if name == REFERENCE and job.reference is not None:
+        if job.reference.folder is not None:
+            return 1
         chosen, values = job.reference.technique, job.reference.knobs
     technique = find_technique(chosen, techniques)
     interval = getattr(technique, "interval", None)

@@ -66,6 +66,7 @@ def render_page(results: Results, pictures: Pictures) -> str:
         trades={mask: plots.trade_plot(results, mask) for mask in measured},
         # Without errors there are still times to plot.
         frame_plots={mask: plots.plots_over_frames(results, mask) for mask in measured or results.masks[:1]},
+        against=tables.reference_note(results),
         costs=[tables.LABELS[name] for name in tables.COSTS],
         cost_table=tables.cost_table(results),
         bars=bars,

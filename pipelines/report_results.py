@@ -23,6 +23,10 @@ NUMBERS = (*FIGURES, "seconds", "init_seconds", "compile_seconds", "rays", "peak
 """Columns of a row that hold a number or null."""
 
 
+REFERENCE_FIGURES = ("spp", "relative_error", "standard_error")
+"""What a row of `jaxrefl reference` says about how noisy its image is."""
+
+
 @dataclass(frozen=True)
 class Row:
     """Figures and costs of one frame of one technique over one mask."""
@@ -65,6 +69,18 @@ class Results:
     def of(self, technique: str, mask: str) -> dict[int, Row]:
         """Rows of one technique over one mask, by frame."""
         return {row.frame: row for row in self.rows if row.technique == technique and row.mask == mask}
+
+    def reference_rows(self) -> list[dict[str, Any]]:
+        """Rows of a reference that `jaxrefl reference` made, by frame; empty for one that a technique rendered."""
+        rows = []
+        for path in sorted((self.folder / REFERENCE).glob("frame_????.json")):
+            try:
+                entry = json.loads(_text(path))[0]
+                if "folder" in entry:
+                    rows.append({"folder": str(entry["folder"]), **{n: entry[n] for n in REFERENCE_FIGURES}})
+            except (ValueError, TypeError, LookupError) as error:
+                raise ValueError(f"{path}: expected the row of a reference: {error}") from error
+        return rows
 
     def picture(self, source: str, frame: int) -> Path:
         """PNG of a frame of a technique or of the reference."""

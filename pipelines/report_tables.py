@@ -54,6 +54,32 @@ class Summary:
     missing: int
 
 
+def reference_note(results: Results) -> str | None:
+    """What errors are measured against, and how noisy that is itself.
+
+    Args:
+        results: Checked results.
+    Returns:
+        Sentences, or None if the reference was rendered with a technique, or there is none.
+    """
+    rows = results.reference_rows()
+    if not rows:
+        return None
+
+    def span(name: str, factor: float = 1.0) -> str:
+        values = [factor * float(row[name]) for row in rows if row[name] is not None]
+        if len(values) < len(rows):
+            return "unknown"
+        low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+        return low if low == high else f"{low} to {high}"
+
+    return (
+        f"Errors are measured against the path traced images in {rows[0]['folder']}, {span('spp')} samples per pixel. "
+        f"Their own relative error is {span('relative_error', 100)} %, an RMSE of {span('standard_error')} over the "
+        "frame: what is smaller than that says nothing."
+    )
+
+
 def figure_table(results: Results, mask: str) -> list[tuple[str, list[Cell]]]:
     """Error figures over one mask.
 

@@ -15,6 +15,8 @@ from jaxrefl.techniques import TECHNIQUES, Technique
 from pipelines.camera_files import camera_file_facts
 from pipelines.job import Job, Reference, SceneSource, with_paths
 from pipelines.knobs import Knobs, complete, find_technique, knobs_of, technique_knobs
+from pipelines.path_knobs import PathKnobs
+from pipelines.reference_folder import check_reference
 from pipelines.toml_tables import JobError, suggestion
 from scenes import BUILT_IN
 
@@ -48,12 +50,16 @@ def resolve(job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES) -> Jo
         scene=dataclasses.replace(job.scene, parameters=parameters),
         frames=job.frames or (facts.frames if facts else 1),
         size=job.size or (facts.size if facts else None) or DEFAULT_SIZE,
-        light=complete(knobs_of(DirectOptions), job.light, where="[light]"),
-        composite=complete(knobs_of(CompositeOptions), job.composite, where="[composite]"),
+        light=complete(knobs_of(DirectOptions), job.light, where="[light]") if job.techniques else {},
+        composite=complete(knobs_of(CompositeOptions), job.composite, where="[composite]") if job.techniques else {},
+        path=None if job.techniques else complete(knobs_of(PathKnobs), job.path or {}, where="[path]"),
         technique={name: knobs[name] for name in job.techniques},
         reference=None if job.reference is None else _resolve_reference(job, job.reference, techniques),
         digests=input_digests(job),
     )
+    if resolved.reference is not None and resolved.reference.folder is not None:
+        images = check_reference(resolved, Path(resolved.reference.folder))
+        resolved = dataclasses.replace(resolved, digests={**resolved.digests, **images})
     for path, digest in job.digests.items():
         if resolved.digests.get(path, digest) != digest:
             raise JobError(f"{path}: is not the file this job was made with; remove it from [digests] to use it anyway")
@@ -84,6 +90,12 @@ def _scene_parameters(scene: SceneSource) -> Knobs:
 
 
 def _resolve_reference(job: Job, reference: Reference, techniques: Mapping[str, Technique]) -> Reference:
+    if reference.folder is not None:
+        if reference.knobs:
+            raise JobError(
+                f"[reference]: {', '.join(reference.knobs)} would have no effect: its images come from a folder"
+            )
+        return Reference("", {}, reference.folder)
     known = technique_knobs(find_technique(reference.technique, techniques))
     given = dict(reference.knobs)
     # Whoever names no samples for the reference wants one that is clearly better than what it judges.

@@ -18,6 +18,7 @@ from pipelines.plan import plan, references_of
 from pipelines.progress import Silent, shown
 from pipelines.resolve import resolve
 from pipelines.stage import Stage
+from pipelines.toml_tables import JobError
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ def run_job(
         ValueError: If the job or an input file does not fit, or the folder is in use or another job's.
         OSError: If the disk is full; what was finished before stays.
     """
+    if not job.techniques:
+        raise JobError("techniques: expected at least one; a job without any is one of `jaxrefl reference`")
     job = resolve(job, techniques=techniques)
     with locked(out):
         claim(out, job)
