@@ -181,6 +181,26 @@ def test_objects_win_over_materials_and_later_over_earlier(tmp_path: Path):
 
 
 @quiet
+def test_rare_parameters_from_overrides(tmp_path: Path):
+    toml = """
+[materials.steel]
+conductor = { eta = [0.2, 0.9, 1.1], k = 3 }
+[materials.wood]
+coupled = true
+opacity = 0.5
+[objects."leg 2"]
+kind = "emitter"
+radiance = 2
+emits_back = false
+"""
+    found = {part.name: part.material for part in describe_with(tmp_path, toml).parts}
+    assert found["leg 1"].conductor == ((0.2, 0.9, 1.1), (3, 3, 3))
+    assert found["table top"].coupled and found["table top"].opacity == 0.5
+    assert found["leg 2"].emission == (2, 2, 2) and not found["leg 2"].emits_back
+    (tmp_path / "scene.jaxrefl.toml").write_text("[materials.steel]\nconductor = false\n")
+    assert all(part.material.conductor is None for part in describe_file(tmp_path / "scene.obj").parts)
+
+
 def test_lights_cameras_units_and_axes_from_overrides(tmp_path: Path):
     toml = """
 units = 10

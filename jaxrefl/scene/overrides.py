@@ -33,13 +33,16 @@ from jaxrefl.scene.override_lights import SkySettings, read_cameras, read_lights
 SUFFIX = ".jaxrefl.toml"
 _TOP = ["units", "up", "crease_angle", "ambient", "sky", "environment", "environment_scale", "environment_rotation"]
 _TABLES = ["materials", "objects", "lights", "cameras"]
-_SURFACE = ["colour", "alpha", "metallic", "eta", "transmission", "attenuation", "thin", "emission"]
+_SURFACE = [
+    *("colour", "alpha", "metallic", "eta", "transmission", "attenuation", "thin", "emission"),
+    *("emits_back", "conductor", "coupled", "opacity"),
+]
 _KINDS = {
     "mirror": ["colour"],
     "glossy": ["colour", "alpha", "metallic", "eta"],
     "glass": ["colour", "alpha", "eta", "attenuation", "thin"],
     "matte": ["colour"],
-    "emitter": ["radiance"],
+    "emitter": ["radiance", "emits_back"],
     "ignore": [],
 }
 _SHOWN = 30
@@ -183,12 +186,14 @@ def _check_change(where: str, change: dict[str, Any]) -> None:
     if kind == "emitter" and "radiance" not in change:
         raise ValueError(f"{where}: an emitter needs its radiance")
     for key, value in change.items():
-        if key in ("alpha", "metallic", "transmission"):
+        if key in ("alpha", "metallic", "transmission", "opacity"):
             checked_number(f"{where}: {key}", value, low=0, high=1)
         elif key == "eta":
             checked_number(f"{where}: {key}", value, low=1)
-        elif key == "thin" and not isinstance(value, bool):
-            raise ValueError(f"{where}: thin: expected true or false, got {value!r}")
+        elif key in ("thin", "coupled", "emits_back") and not isinstance(value, bool):
+            raise ValueError(f"{where}: {key}: expected true or false, got {value!r}")
+        elif key == "conductor":
+            _conductor(f"{where}: {key}", value)
         elif key in ("colour", "attenuation", "emission", "radiance"):
             colour = _colour(f"{where}: {key}", value)
             if key == "colour" and max(colour) > 1:
@@ -201,6 +206,8 @@ def _changed(material: Material, change: dict[str, Any], source: str) -> Materia
     for key in ("colour", "attenuation", "emission", "radiance"):
         if key in values:
             values[key] = _colour(key, values[key])
+    if "conductor" in values:
+        values["conductor"] = _conductor("conductor", values["conductor"])
     kept = Material(
         material.name,
         base_colour=material.base_colour,
@@ -217,7 +224,7 @@ def _changed(material: Material, change: dict[str, Any], source: str) -> Materia
         "glossy": lambda: kept.replace(**{"alpha": 0.1, **values}),
         "glass": lambda: glass(material.name, colour=values.pop("base_colour", (1.0, 1.0, 1.0))).replace(**values),
         "matte": lambda: kept.replace(**{**vars(matte(material.name, kept.base_colour)), **_pictures(kept), **values}),
-        "emitter": lambda: emitter(material.name, values["radiance"]),
+        "emitter": lambda: emitter(material.name, values.pop("radiance")).replace(**values),
     }
     try:
         return checked_material(makers[change.get("kind")]())
@@ -229,6 +236,7 @@ def _with_parameters(material: Material, values: dict[str, Any]) -> Material:
     """The material with some parameters set; a texture that would multiply one of them is dropped."""
     dropped = {"base_colour": "base_colour_texture", "emission": "emission_texture"}
     dropped |= {"alpha": "metallic_roughness_texture", "metallic": "metallic_roughness_texture"}
+    dropped |= {"opacity": "opacity_texture"}
     return material.replace(**values, **{dropped[key]: None for key in values if key in dropped})
 
 
@@ -249,6 +257,15 @@ def _matches(overrides: Overrides, table: str, names: list[str]) -> list[list[di
         for i in hits:
             result[i].append(change)
     return result
+
+
+def _conductor(name: str, value: Any) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+    """A complex index `{ eta = ..., k = ... }`, each one number or three; false takes it away."""
+    if value is False:
+        return None
+    if not isinstance(value, dict) or value.keys() != {"eta", "k"}:
+        raise ValueError(f"{name}: expected {{ eta = ..., k = ... }} or false, got {value!r}")
+    return _colour(f"{name}: eta", value["eta"]), _colour(f"{name}: k", value["k"])
 
 
 def _colour(name: str, value: Any) -> tuple[float, float, float]:
