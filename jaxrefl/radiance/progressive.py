@@ -37,6 +37,8 @@ from jaxrefl.rays.camera_rays import camera_rays
 
 REPLICATES = 8
 """Independent estimates of the image, R."""
+MOST_AT_ONCE = 64
+"""Samples per pixel that are traced at once at the most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Goal:
     spp: int | None = None
     """Samples per pixel; None: any number."""
     error: float | None = None
-    """`relative_error`, looked at after every `REPLICATES` samples from the second time on; None: any."""
+    """`relative_error`, looked at after passes that leave all replicates equal, from two rounds on; None: any."""
     seconds: float | None = None
     """Seconds of the call, compilation included, looked at after each pass; None: any."""
 
@@ -137,7 +139,7 @@ def render_progressively(
         goal: When to stop.
         options: Static knobs.
         state: Where to go on, from an earlier call with the same arguments; None: from nothing.
-        after: Called with the state after each pass (one to eight samples per pixel), to report or to save it.
+        after: Called with the state after each pass (`samples_per_pass`), to report or to save it.
     Returns:
         The state; for the same number of samples it is the same bit for bit however often it was interrupted.
     Raises:
@@ -168,10 +170,10 @@ def samples_per_pass(camera: Camera, options: ProgressiveOptions) -> int:
         camera: The camera.
         options: Static knobs.
     Returns:
-        A power of two from 1 to `REPLICATES`.
+        A power of two from 1 to `MOST_AT_ONCE`.
     """
     room = max(2 * options.path.block // (camera.width * camera.height), 1)
-    return min(REPLICATES, 1 << (room.bit_length() - 1))
+    return min(MOST_AT_ONCE, 1 << (room.bit_length() - 1))
 
 
 def sample_count(state: ProgressiveState) -> int:
@@ -301,11 +303,15 @@ def _samples(
 @jax.jit
 def _add(state: ProgressiveState, light: PathLight, first: Array, count: Array) -> ProgressiveState:
     """Add the first `count` samples of a pass, in order; the others only filled its blocks."""
-    radiance, counts, layers = state.radiance, state.counts, state.layers
-    for i in range(light.emitted.shape[0]):
-        one = jax.tree.map(lambda x, i=i: jnp.where(i < count, x[i], 0), light)
+
+    def add_one(i: Array, sums: ProgressiveState) -> ProgressiveState:
+        one = jax.tree.map(lambda x: x[i], light)
         replicate = (first + i) % REPLICATES
-        radiance = radiance.at[replicate].add(one.radiance)
-        counts = counts.at[replicate].add((i < count).astype(jnp.int32))
-        layers = jax.tree.map(jnp.add, layers, one)
-    return ProgressiveState(radiance, counts, layers, state.seed)
+        return ProgressiveState(
+            radiance=sums.radiance.at[replicate].add(one.radiance),
+            counts=sums.counts.at[replicate].add(1),
+            layers=jax.tree.map(jnp.add, sums.layers, one),
+            seed=sums.seed,
+        )
+
+    return jax.lax.fori_loop(0, count, add_one, state)
