@@ -160,6 +160,14 @@ def test_vertex_colours(tmp_path: Path, rng: np.random.Generator):
     np.testing.assert_allclose(again.colours[again.faces], expected_colours, atol=1e-6)
 
 
+def test_ids_are_shared_by_all_that_has_one(tmp_path: Path):
+    parts = [square(matte(name, (1, 1, 1)), name="sky") for name in ("sky", "camera", "sky (2)", "a.b")]
+    scene, path = exported(tmp_path, *parts, sky=constant_sky((1, 1, 1)))
+    assert set(describe_file(path).cameras) == {"camera (2)"}
+    assert set(load(path).names.materials) == {"sky", "camera", "sky (2)", "a_b"}
+    mi.load_file(str(path))  # which refuses ids that are not unique
+
+
 # --- materials -----------------------------------------------------------------------------------------------------
 
 EXACT = {
@@ -321,6 +329,9 @@ ODD = {
         "repeat in one direction",
     ),
     "black metal": (mirror("m", colour=(0, 0, 0)), "fitted"),
+    "rough glass of index 1": (glass("m", eta=1.0, alpha=0.3), ""),
+    "glass of index 1": (glass("m", eta=1.0), ""),
+    "varying glass": (glass("m").replace(metallic_roughness_texture=picture()), "become principled"),
     "index 1 metal": (mirror("m").replace(eta=1.0), ""),
 }
 

@@ -160,6 +160,7 @@ class BsdfWriter:
     def _glass(self, parent: ET.Element, row: int) -> None:
         m = self.materials
         alpha, thin = float(m.alpha[row]), bool(m.thin[row])
+        alpha = 0.0 if float(m.eta[row]) == 1 else alpha  # no interface: nothing is scattered
         if thin and alpha > 0:
             self.notes.group("rough thin panes are smooth (thindielectric)", self.names[row])
         kind = "thindielectric" if thin else "roughdielectric" if alpha > 0 else "dielectric"
@@ -175,7 +176,9 @@ class BsdfWriter:
             name,
         )
         surface = element(parent, "bsdf", type="principled")
-        self._colour(surface, "base_color", row)
+        transmission = float(m.transmission[row])
+        # Light that passes takes the root of the colour there, and the colour itself here.
+        self._colour(surface, "base_color", row, np.square if transmission == 1 else lambda x: x)
         wrap = self._wrap(row, self._texture(row, _PACKED))
         factors = (("roughness", float(np.sqrt(m.alpha[row])), 1), ("metallic", float(m.metallic[row]), 2))
         for key, factor, channel in factors:
@@ -186,8 +189,8 @@ class BsdfWriter:
             filename = self.files.write_png(f"{name}_{key}", values)
             bitmap(surface, key, filename, wrap=wrap, raw=True)
         element(surface, "float", name="eta", value=max(float(m.eta[row]), 1.001))
-        if float(m.transmission[row]) > 0:
-            element(surface, "float", name="spec_trans", value=float(m.transmission[row]))
+        if transmission > 0:
+            element(surface, "float", name="spec_trans", value=transmission)
 
     def _interface(self, parent: ET.Element, row: int, *, rough: bool = True) -> None:
         element(parent, "float", name="int_ior", value=float(self.materials.eta[row]))

@@ -81,7 +81,7 @@ class TextureFiles:
             raise SceneError(f"textures: expected image {row}, got a scene without textures")
         t = self.textures
         start, width, height = (int(column[row]) for column in (t.offset, t.width, t.height))
-        return np.asarray(t.texels[start : start + width * height]).reshape(height, width, 4)
+        return np.asarray(t.texels)[start : start + width * height].reshape(height, width, 4)
 
     def wrap_mode(self, row: int) -> tuple[str, bool]:
         """Mitsuba's wrap mode, and True if it holds for both directions."""

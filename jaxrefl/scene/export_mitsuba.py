@@ -12,13 +12,14 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from jaxrefl._types import Camera, Scene
 from jaxrefl.scene.errors import SceneError, warn_notes
 from jaxrefl.scene.export_bsdfs import BsdfWriter, element, rgb
 from jaxrefl.scene.export_files import TextureFiles
-from jaxrefl.scene.export_shapes import coloured_materials, mirrored_materials, write_shapes
+from jaxrefl.scene.export_shapes import coloured_materials, mirrored_materials, plain_id, write_shapes
 from jaxrefl.scene.materials import unique_names
 from jaxrefl.scene.notes import Notes
 
@@ -59,6 +60,8 @@ def export_mitsuba(
             raise SceneError(f"{name}: expected a whole number >= 1, got {value!r}")
     cameras = _named_cameras(scene, camera)
     _claim(folder)
+    # Everything below reads single rows, which is slow in JAX.
+    scene, cameras = jax.tree.map(np.asarray, (scene, cameras))
     notes = Notes()
     root = element(None, "scene", version="3.0.0")
     element(root, "default", name="spp", value=samples)
@@ -66,10 +69,12 @@ def export_mitsuba(
     absorbs = bool((np.asarray(scene.materials.attenuation) > 0).any())
     integrator = element(root, "integrator", type="volpath" if absorbs else "path")
     element(integrator, "integer", name="max_depth", value="$max_depth")
-    for name, one in cameras.items():
-        _write_camera(root, name, one, notes)
+    sensors = [_write_camera(root, name, one, notes) for name, one in cameras.items()]
     files = TextureFiles(folder, scene.textures)
-    _write_materials_and_shapes(root, scene, folder, files, notes)
+    taken = _write_materials_and_shapes(root, scene, folder, files, notes)
+    ids = unique_names([*taken, *(plain_id(name) for name in cameras)])[len(taken) :]
+    for sensor, id in zip(sensors, ids, strict=True):
+        sensor.set("id", id)
     _write_lights(root, scene, files, notes)
     path = folder / "scene.xml"
     path.write_text(_text(root, scene, notes), encoding="utf-8")
@@ -104,18 +109,18 @@ def _claim(folder: Path) -> None:
 
 def _write_materials_and_shapes(
     root: ET.Element, scene: Scene, folder: Path, files: TextureFiles, notes: Notes
-) -> None:
+) -> list[str]:
+    """Add them, and return the ids they have taken, which materials, shapes and cameras share."""
     names = scene.names.materials
-    # ids name materials and shapes alike, and may not hold a dot
-    ids = unique_names([name.replace(".", "_") or "unnamed" for name in (*names, *scene.names.objects)])
+    ids = unique_names([plain_id(name) for name in names])
     writer = BsdfWriter(scene.materials, names, files, notes, coloured_materials(scene.mesh), mirrored_materials(scene))
     for row in np.unique(np.asarray(scene.mesh.material)).tolist():
         writer.write(root, row, id=ids[row])
-    write_shapes(root, scene, folder, writer, ids)
+    return ids + write_shapes(root, scene, folder, writer, ids)
 
 
-def _write_camera(root: ET.Element, name: str, camera: Camera, notes: Notes) -> None:
-    sensor = element(root, "sensor", type="perspective", id=name.replace(".", "_"))
+def _write_camera(root: ET.Element, name: str, camera: Camera, notes: Notes) -> ET.Element:
+    sensor = element(root, "sensor", type="perspective")
     fx, fy = (float(f) for f in camera.focal)
     if abs(fx - fy) > 1e-4 * fy:
         notes.group("cameras with pixels that are not square keep their vertical field of view", name)
@@ -133,6 +138,7 @@ def _write_camera(root: ET.Element, name: str, camera: Camera, notes: Notes) -> 
     element(film, "string", name="component_format", value="float32")
     element(film, "rfilter", type="box")
     element(element(sensor, "sampler", type="independent"), "integer", name="sample_count", value="$spp")
+    return sensor
 
 
 def _write_lights(root: ET.Element, scene: Scene, files: TextureFiles, notes: Notes) -> None:
@@ -146,9 +152,9 @@ def _write_lights(root: ET.Element, scene: Scene, files: TextureFiles, notes: No
         return
     radiance = np.asarray(lights.environment.radiance)
     if radiance.shape[:2] == (1, 1):
-        rgb(element(root, "emitter", type="constant", id="sky"), "radiance", radiance[0, 0])
+        rgb(element(root, "emitter", type="constant"), "radiance", radiance[0, 0])
         return
-    sky = element(root, "emitter", type="envmap", id="sky")
+    sky = element(root, "emitter", type="envmap")
     element(sky, "string", name="filename", value=files.write_exr("sky", radiance))
     matrix = np.eye(4)
     matrix[:3, :3] = np.asarray(lights.environment.world_from_map, np.float64) @ _HALF_TURN

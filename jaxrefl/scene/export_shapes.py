@@ -40,7 +40,12 @@ def mirrored_materials(scene: Scene) -> frozenset[int]:
     return frozenset(np.unique(np.asarray(mesh.material)[mirrored & mapped]).tolist())
 
 
-def write_shapes(root: ET.Element, scene: Scene, folder: Path, writer: BsdfWriter, ids: list[str]) -> None:
+def plain_id(name: str) -> str:
+    """An id that Mitsuba accepts: not empty, and without dots, which separate the parts of parameter names there."""
+    return name.replace(".", "_") or "unnamed"
+
+
+def write_shapes(root: ET.Element, scene: Scene, folder: Path, writer: BsdfWriter, ids: list[str]) -> list[str]:
     """Write all meshes and add their elements.
 
     Args:
@@ -48,7 +53,9 @@ def write_shapes(root: ET.Element, scene: Scene, folder: Path, writer: BsdfWrite
         scene: The scene.
         folder: Folder of the scene file.
         writer: Writes emission.
-        ids: Ids of all materials, then of all objects.
+        ids: Ids of all materials.
+    Returns:
+        Ids of the shapes: names of the objects, with a number where a material or another shape has that name.
     Raises:
         OSError: If a file cannot be written.
     """
@@ -57,11 +64,13 @@ def write_shapes(root: ET.Element, scene: Scene, folder: Path, writer: BsdfWrite
     pairs, group = np.unique(owner * count + material, return_inverse=True)
     order = np.argsort(group, kind="stable")
     bounds = np.searchsorted(group[order], np.arange(len(pairs) + 1))
-    names = unique_names([ids[count + pair // count] for pair in pairs.tolist()])
+    objects = [plain_id(scene.names.objects[pair // count]) for pair in pairs.tolist()]
+    names = unique_names([*ids, *objects])[count:]
     taken: set[str] = set()
     for i, (pair, name) in enumerate(zip(pairs.tolist(), names, strict=True)):
         rows = np.sort(order[bounds[i] : bounds[i + 1]])
         _write_shape(root, scene, folder, writer, rows, name, ids[pair % count], file_name(name, taken))
+    return names
 
 
 def _write_shape(
