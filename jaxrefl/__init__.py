@@ -21,6 +21,7 @@ from ._types import Features as Features
 from ._types import Frame as Frame
 from ._types import GBuffer as GBuffer
 from ._types import Hits as Hits
+from ._types import LightMap as LightMap
 from ._types import Lights as Lights
 from ._types import Materials as Materials
 from ._types import Mesh as Mesh

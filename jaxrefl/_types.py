@@ -76,7 +76,7 @@ class Mesh(eqx.Module):
 
 
 class Conductors(eqx.Module):
-    """Complex indices of refraction of metals, per material or per point; `base_colour` then multiplies the reflectance."""
+    """Complex indices of refraction of metals, per material or point; `base_colour` then multiplies the reflectance."""
 
     known: Bool[Array, "*b"]
     """True: this material's Fresnel term is that of eta + i k; False: Schlick's with F0 = `base_colour`."""
@@ -124,7 +124,7 @@ class Materials(eqx.Module):
     coupled: Bool[Array, "m"] | None = None
     """True: diffuse light passes the interface twice and bounces beneath it, as in plastic; None: for no material."""
     opacity: Float[Array, "m"] | None = None
-    """Share of the light that meets the surface at all, in [0, 1]; multiplied by `opacity_texture`; None: all opaque."""
+    """Share of the light that meets the surface, in [0, 1], before `opacity_texture`; None: everything is opaque."""
     opacity_texture: Int[Array, "m"] | None = None
     """Row in `Textures` whose alpha channel is the opacity, -1 for none; None with `opacity`."""
 
@@ -258,6 +258,20 @@ class Names:
     """What was assumed, changed or ignored on import, one sentence each."""
 
 
+class LightMap(eqx.Module):
+    """Diffuse light at every surface of a scene, baked into a texture; see `radiance.lightmap`."""
+
+    light: Float[Array, "s lh lw 3"]
+    """Light before the albedo (irradiance / pi), of the side the triangles face and, if there are two layers, of the
+    other side; 0 where nothing was baked."""
+    uv: Float[Array, "f 3 2"]
+    """Corners of each triangle in the texture, in texels, centres at +0.5; all 0: the triangle has no place."""
+    fingerprint: str = eqx.field(static=True)
+    """Digest of the geometry, materials and lights that the map was baked for."""
+    options: str = eqx.field(static=True)
+    """The options it was baked with, as JSON."""
+
+
 class Scene(eqx.Module):
     """A scene as arrays: geometry, materials, textures, lights, and what it takes to render them."""
 
@@ -279,6 +293,8 @@ class Scene(eqx.Module):
     """What is in the scene; absent features cost nothing."""
     names: Names = eqx.field(static=True)
     """What the indices mean, and what was noted on import."""
+    lightmap: LightMap | None = None
+    """Baked diffuse light; None: there is none."""
 
 
 @runtime_checkable

@@ -3,7 +3,8 @@
 The colour of what a ray hits follows the rule of the papers this library implements: a reflective surface seen in a
 reflection shows its emission and diffuse component (plus the ambient term in its specular colour).
 `IncomingOptions.bounces` follows mirrors further; refractive surfaces are followed through up to `interfaces`
-interfaces, greedily: refraction where there is one, total internal reflection where there is not.
+interfaces, greedily: refraction where there is one, total internal reflection where there is not. The diffuse component
+is that of `light_model`; with its model `path` no rule is left, and rays bring all light that arrives along them.
 """
 
 import dataclasses
@@ -15,8 +16,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer, Rays, Scene, Tracer
-from jaxrefl.core import dot
-from jaxrefl.radiance.direct import DirectOptions, direct_light
+from jaxrefl.core import dot, pixel_sequences, seed_of
+from jaxrefl.radiance.light_model import LightOptions, diffuse_light
+from jaxrefl.radiance.path import path_radiance
+from jaxrefl.radiance.path_types import PathOptions
 from jaxrefl.rays.offset import offset_origin
 from jaxrefl.surface.gbuffer import build_gbuffer
 from jaxrefl.surface.specular import (
@@ -28,6 +31,8 @@ from jaxrefl.surface.specular import (
     transmission_weight,
 )
 
+_PATHS_AT_ONCE = 2**19
+
 
 @dataclasses.dataclass(frozen=True)
 class IncomingOptions:
@@ -37,8 +42,8 @@ class IncomingOptions:
     """Further mirror bounces after the first hit; 0 shows the diffuse component of mirrors seen in mirrors."""
     interfaces: int = 4
     """Refractive interfaces a ray may pass; 2 lead through one glass object."""
-    light: DirectOptions = DirectOptions()
-    """Light samples at each hit."""
+    light: LightOptions = LightOptions()
+    """Diffuse light at each hit; with the model `path` everything that arrives, whatever has scattered it."""
 
 
 class Incoming(eqx.Module):
@@ -82,11 +87,15 @@ def incoming(
         rays: Rays [n].
         active: Which rays to trace.
         key: Random key, for light samples and rough refraction.
-        options: Bounces, interfaces, light samples.
+        options: Bounces, interfaces, diffuse light.
     Returns:
         Radiance and first hits [n].
     Edge cases: a path that runs out of bounces or interfaces ends with the diffuse and ambient colour of its last hit.
+        With the light model `path`, `options.light.bounces` counts the surface that the rays come from, and the other
+        two counts are not used.
     """
+    if options.light.model == "path":
+        return _all_light(scene, tracer, rays, active, key, options.light)
     follow_mirrors = options.bounces if scene.features.planar or scene.features.curved else 0
     follow_glass = options.interfaces if scene.features.refractive else 0
     path = _start(rays, active, follow_mirrors, follow_glass)
@@ -94,7 +103,7 @@ def incoming(
     for depth in range(follow_mirrors + follow_glass + 1):
         key_light, key_lobe = jax.random.split(jax.random.fold_in(key, depth))
         points = build_gbuffer(scene, path.rays, tracer.closest(path.rays, active=path.active))
-        light = direct_light(scene, tracer, points, key_light, options=options.light)
+        light = diffuse_light(scene, tracer, points, key_light, options=options.light)
         first = first or [points]
         if depth == follow_mirrors + follow_glass:
             path = _finish(scene, path, points, light)
@@ -103,6 +112,27 @@ def incoming(
             if not path.active.any():
                 break
     return Incoming(path.radiance, first[0].valid, first[0].p, first[0].t)
+
+
+def _all_light(
+    scene: Scene, tracer: Tracer, rays: Rays, active: Bool[Array, "n"], key: Array, options: LightOptions
+) -> Incoming:
+    """Everything that arrives along rays, by path tracing."""
+    points = build_gbuffer(scene, rays, tracer.closest(rays, active=active))
+    count, seed = active.shape[0], seed_of(key)
+    sequence = pixel_sequences(seed, jnp.arange(count, dtype=jnp.int32))
+    at_once = max(min(options.path_samples, _PATHS_AT_ONCE // count), 1)
+    paths = PathOptions(bounces=options.bounces - 1)
+    total = jnp.zeros_like(rays.origin)
+    for first in range(0, options.path_samples, at_once):
+        number = jnp.arange(first, min(first + at_once, options.path_samples), dtype=jnp.uint32)
+        shape = (number.shape[0], count)
+        many = jax.tree.map(lambda x, k=shape[0]: jnp.broadcast_to(x, (k, *x.shape)), rays)
+        numbers = jnp.broadcast_to(number[:, None], shape)
+        light = path_radiance(scene, tracer, many, jnp.broadcast_to(sequence, shape), numbers, options=paths)
+        total = total + light.sum(0)
+    radiance = jnp.where(active[:, None], total / options.path_samples, 0)
+    return Incoming(radiance, points.valid, points.p, points.t)
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer, Rays, Scene, Tracer
 from jaxrefl.core import direction_from_latlong
-from jaxrefl.radiance import DirectOptions, direct_light
+from jaxrefl.radiance import LightOptions, diffuse_light
 from jaxrefl.rays import offset_origin
 from jaxrefl.surface import build_gbuffer, reflective, specular_weight
 
@@ -51,7 +51,7 @@ def bounds_centre(scene: Scene, objects: np.ndarray) -> np.ndarray:
 
 
 def capture(
-    scene: Scene, tracer: Tracer, centre: Float[Array, "3"], own: int, height: int, key: Array, *, light: DirectOptions
+    scene: Scene, tracer: Tracer, centre: Float[Array, "3"], own: int, height: int, key: Array, *, light: LightOptions
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
     """Radiance and nearness of the surroundings of a point.
 
@@ -62,7 +62,7 @@ def capture(
         own: Object whose surfaces are invisible to the capture; -1 for none. So are the back faces of all reflectors.
         height: Rows of the map.
         key: Random key for light samples.
-        light: Light samples at each captured point.
+        light: Diffuse light at each captured point.
     Returns:
         Radiance; and one over the distance, 0 where the environment is seen.
     """
@@ -75,7 +75,7 @@ def capture(
             break
         rays = _step_past(rays, points, active)
         points = _merge(points, build_gbuffer(scene, rays, tracer.closest(rays, active=active)), active)
-    return _shade(scene, points, direct_light(scene, tracer, points, key, options=light), centre)
+    return _shade(scene, points, diffuse_light(scene, tracer, points, key, options=light), centre)
 
 
 @functools.partial(jax.jit, static_argnames="height")

@@ -15,7 +15,6 @@ from jaxrefl._status import Source
 from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
 from jaxrefl.core import refract
 from jaxrefl.core.safe import norm
-from jaxrefl.radiance import DirectOptions
 from jaxrefl.surface import mirror_direction, reflective, refractive
 from jaxrefl.techniques._shape import no_reflection
 from jaxrefl.techniques.envmap.capture import bounds_centre, capture, reflectors_of
@@ -39,7 +38,6 @@ def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State
     Edge cases: a scene without reflectors gets one map, captured from its centre, that nothing uses.
     """
     cast_before = tracer.rays
-    light = DirectOptions(area_samples=options.area_samples, environment_samples=options.environment_samples)
     reflectors = reflectors_of(scene)
     kept = reflectors[: options.reflectors] if options.scope == "object" else reflectors[:0]
     everything = np.unique(np.asarray(scene.mesh.object))
@@ -53,7 +51,9 @@ def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State
     captured = []
     for number, (centre, own) in enumerate(sites):
         key = jax.random.fold_in(jax.random.key(0), number)
-        captured.append(capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=light))
+        captured.append(
+            capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=options.captured)
+        )
     sharp = jnp.stack([radiance for radiance, _ in captured])
     nearness = jnp.stack([jnp.broadcast_to(near[..., None], (*near.shape, 3)) for _, near in captured])
     around = prefilter(nearness, jnp.full(1, _CONFIDENCE_ALPHA), options.rough_height)[:, 0, ..., 0]

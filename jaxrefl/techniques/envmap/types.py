@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
+from jaxrefl.radiance.light_model import MODELS, LightOptions
 from jaxrefl.techniques._knobs import check_options, option
 from jaxrefl.techniques._shape import Info as Info
 
@@ -25,8 +26,21 @@ class Options:
     area_samples: int = option(4, "Shadow rays to area lights at each captured point.", low=1, high=4096)
     environment_samples: int = option(4, "Shadow rays to the environment at each captured point.", low=1, high=4096)
 
+    light: str = option("direct", "Diffuse light of the captured surroundings.", choices=MODELS)
+    path_samples: int = option(16, "Paths at each captured point (path).", low=1, high=65536)
+
     def __post_init__(self):
         check_options(self)
+
+    @property
+    def captured(self) -> LightOptions:
+        """Diffuse light of the captured surroundings."""
+        return LightOptions(
+            model=self.light,
+            area_samples=self.area_samples,
+            environment_samples=self.environment_samples,
+            path_samples=self.path_samples,
+        )
 
 
 class State(eqx.Module):
