@@ -478,6 +478,7 @@ def test_area_lights_shine_from_the_side_that_mitsuba_lets_shine(tmp_path: Path,
     both = np.asarray(gbuffer.valid) & expected["valid"]
     assert both.sum() > 40
     np.testing.assert_array_equal(np.asarray(gbuffer.outside)[both], expected["emission"][both].max(-1) > 0)
+    np.testing.assert_array_equal(np.asarray(gbuffer.base_colour)[both], expected["albedo"][both])  # black
 
 
 def write_smooth_map(folder: Path) -> Path:

@@ -115,7 +115,9 @@ class _Reader:
     def _surface(self, node: Node) -> Surface:
         """The shape's material with the light it emits, under the name of the BSDF or else of the shape."""
         bsdfs, emitters = node.children("BSDF"), node.children("Emitter")
-        surface = self.surfaces.read(bsdfs[0]) if bsdfs else Surface(matte("", DEFAULT_COLOUR))
+        # What only emits reflects nothing: so Mitsuba has it.
+        default = (0.0, 0.0, 0.0) if emitters else DEFAULT_COLOUR
+        surface = self.surfaces.read(bsdfs[0]) if bsdfs else Surface(matte("", default))
         name = surface.material.name or _shape_name(node)
         surface = dataclasses.replace(surface, material=surface.material.replace(name=name))
         if not surface.two_sided and not emitters:
