@@ -44,4 +44,5 @@ from .shapes import intersect_sphere as intersect_sphere
 from .shapes import mirror_point as mirror_point
 from .vectors import cross as cross
 from .vectors import dot as dot
+from .vectors import largest as largest
 from .vectors import lerp as lerp

@@ -41,3 +41,14 @@ def lerp(a: Float[Array, "*b c"], b: Float[Array, "*b c"], t: Float[Array, "*b"]
     """
     t = t[..., None]
     return (1 - t) * a + t * b
+
+
+def largest(v: Float[Array, "*b 3"]) -> Float[Array, "*b"]:
+    """Largest component of each vector; several times faster than a reduction over an axis of 3.
+
+    Args:
+        v: Vectors or colours.
+    Returns:
+        The largest of the three components.
+    """
+    return jnp.maximum(jnp.maximum(v[..., 0], v[..., 1]), v[..., 2])

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import AreaLights, PunctualLights, Scene
-from jaxrefl.core import cone, cross, dot, safe, triangle
+from jaxrefl.core import cone, cross, dot, largest, safe, triangle
 from jaxrefl.rays.offset import ERROR_PER_COORDINATE, offset_origin
 from jaxrefl.scene.distributions import invert_cdf
 from jaxrefl.scene.textures import texture_rgba
@@ -169,4 +169,4 @@ def density_of_hit(
 
 
 def _largest(v: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jnp.abs(v).max(-1)
+    return largest(jnp.abs(v))

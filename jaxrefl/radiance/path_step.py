@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer, Lights, Rays, Scene
-from jaxrefl.core import dot, owen_sobol, safe, uniform
+from jaxrefl.core import dot, largest, owen_sobol, safe, uniform
 from jaxrefl.radiance.light_points import (
     FAR,
     LightPoint,
@@ -37,7 +37,7 @@ from jaxrefl.radiance.path_types import (
 from jaxrefl.rays.offset import offset_origin
 from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
 from jaxrefl.surface.bsdf import STRAIGHT, Draws, Response, Scattered, draw_directions, lobes_of, respond, scatter
-from jaxrefl.surface.specular import LobeAlbedo, diffuse_albedo, lobe_albedo
+from jaxrefl.surface.specular import LobeAlbedo, lobe_albedo
 
 PAIRS = 4
 """Pairs of random numbers per vertex; pair 0 of a sequence is left to whoever makes the rays."""
@@ -213,7 +213,7 @@ def gather(
     seen = jnp.where(escaped[:, None], _sky(scene.lights, paths, kinds, ambient), seen)
     rows.append(_rows(paths.job, paths.layer, vertex.throughput * seen, paths.factor, layered))
     if ambient:
-        light = vertex.throughput * diffuse_albedo(points) * jnp.broadcast_to(scene.lights.ambient, points.p.shape)
+        light = vertex.throughput * vertex.lobes.diffuse * jnp.broadcast_to(scene.lights.ambient, points.p.shape)
         own = _own(paths, DIFFUSE, light, 1 - vertex.lobes.specular)
         rows.append(_rows(jnp.where(vertex.stays, paths.job, -1), *own, layered))
     index, value = (jnp.concatenate(parts) for parts in zip(*rows, strict=True))
@@ -235,7 +235,7 @@ def _rows(
 ) -> tuple[Int[Array, "k"], Float[Array, "k 3"]]:
     """Which rows of the sums to add to, and what; rows past the end are dropped."""
     nowhere = jnp.iinfo(jnp.int32).max
-    there = (job >= 0) & (light.max(-1) > 0)
+    there = (job >= 0) & (largest(light) > 0)
     if not layered:
         return jnp.where(there, job, nowhere), light * factor
     before = jnp.where(there, job * CHANNELS + layer, nowhere)
@@ -313,7 +313,7 @@ def look_for_light(
     layers, brought, factors = zip(*found, strict=True)
     origin = offset_origin(points.p, points.n, points.p_error, light.wi)
     way = light.end - origin
-    brings = vertex.stays & (paths.depth < options.bounces) & ((brought[0] + brought[1]).max(-1) > 0)
+    brings = vertex.stays & (paths.depth < options.bounces) & (largest(brought[0] + brought[1]) > 0)
     return Shadows(
         rays=Rays(origin, safe.normalise(way)),
         t_max=jnp.where(brings, safe.norm(way), 0),
@@ -443,7 +443,7 @@ def go_on(batch: Batch, paths: Paths, vertex: Vertex, sample: Scattered, *, opti
     eta_scale = paths.eta_scale * jnp.where(straight, 1, sample.eta_scale)
     depth = paths.depth + 1
 
-    carried = (throughput * factor).max(-1)
+    carried = largest(throughput * factor)
     stay = jnp.where(depth > options.roulette_from, jnp.clip(carried * eta_scale, 0.05, 0.95), 1)
     alive = (paths.job >= 0) & points.valid & (carried > 0) & (depth <= options.bounces)
     alive = alive & ((stay >= 1) | (random[2 * _ROULETTE] < stay))

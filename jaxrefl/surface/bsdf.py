@@ -38,7 +38,7 @@ from jaxrefl.core import (
     to_world,
 )
 from jaxrefl.core.safe import divide, normalise
-from jaxrefl.surface.coupling import coupling
+from jaxrefl.surface.coupling import coupling, single_scattering_loss
 from jaxrefl.surface.specular import (
     LobeAlbedo,
     dielectric_fresnel,
@@ -81,7 +81,7 @@ class Lobes(eqx.Module):
     single: Float[Array, "n"]
     """Albedo of the lobe for F = 1, E_ss: what the lobe's mean radiance is an average over."""
     diffuse: Float[Array, "n 3"]
-    """Diffuse albedo rho' times (1 - E)."""
+    """Diffuse albedo rho', without the factor (1 - E) that `composite` applies."""
     refracted: Float[Array, "n 3"] | None
     """Share and colour of what is refracted, tau b_t; None: nothing is refractive."""
     p_diffuse: Float[Array, "n"]
@@ -141,7 +141,9 @@ def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
     if model.multiple_scattering:
         boost = boost * (1 + specular_colour(points) * (1 / single - 1)[:, None])
     rest = 1 - specular
-    diffuse = diffuse_albedo(points) * rest
+    diffuse = diffuse_albedo(points)
+    if points.coupled is not None and not model.multiple_scattering:
+        diffuse = diffuse * single_scattering_loss(points, wo[:, 2])
     refracted, into = None, 0.0
     if points.transmission is not None:
         share = points.transmission * (1 - points.metallic)
@@ -149,7 +151,7 @@ def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
         if model.multiple_scattering:
             refracted = refracted * _refraction_boost(points, albedo, rest)[:, None]
         into = luminance(rest * points.base_colour) * share
-    upper, lower = luminance(specular) + into, luminance(diffuse)
+    upper, lower = luminance(specular) + into, luminance(diffuse * rest)
     # Neither lobe below a tenth while it is there at all: what the luminance misses in one channel stays bounded.
     share = jnp.clip(divide(lower, upper + lower), 0.1, 0.9)
     p_diffuse = jnp.where(upper <= 0, 1.0, jnp.where(lower <= 0, 0.0, share))
@@ -181,7 +183,8 @@ def respond(points: GBuffer, lobes: Lobes, wi: Float[Array, "n 3"], model: Scatt
     cos_i = local[:, 2]
     above = points.valid & (cos_i > 0) & (dot(points.n, wi) > 0)
     density = jnp.where(above, jnp.maximum(cos_i, 0) / jnp.pi, 0)
-    diffuse = diffuse_albedo(points) * (density * coupling(points, cos_i))[:, None]
+    single = not model.multiple_scattering
+    diffuse = lobes.diffuse * (density * coupling(points, cos_i, single=single))[:, None]
 
     h = normalise(lobes.wo + local, fill=(0, 0, 1))
     cos_h = dot(lobes.wo, h)
@@ -245,7 +248,7 @@ def scatter(
     is_diffuse = choice[:, 0] < lobes.p_diffuse
     wd, h = draws.diffuse, draws.h
     cos_d = dot(points.ns, wd)
-    lit = jnp.where(dot(points.n, wd) > 0, coupling(points, cos_d), 0)
+    lit = jnp.where(dot(points.n, wd) > 0, coupling(points, cos_d, single=not model.multiple_scattering), 0)
 
     cos_h = dot(lobes.wo, h)
     local = reflect(lobes.wo, h)
@@ -265,7 +268,7 @@ def scatter(
     # Diffuse weights leave out (1 - E) like `Response.diffuse`; it is the `fresnel` of the diffuse lobe.
     weight = jnp.where(
         pick,
-        diffuse_albedo(points) * divide(lit, lobes.p_diffuse)[:, None],
+        lobes.diffuse * divide(lit, lobes.p_diffuse)[:, None],
         one * divide(masked, chosen)[:, None],
     )
     factor = jnp.where(pick, 1 - lobes.specular, fresnel)

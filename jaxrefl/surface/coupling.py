@@ -27,6 +27,11 @@ from jaxtyping import Array, Float
 from jaxrefl._types import GBuffer
 from jaxrefl.core import fresnel_dielectric
 from jaxrefl.core.albedo import ggx_albedo, lobe_fresnel_cosine
+from jaxrefl.surface.rough_interface import (
+    internal_reflectance_once,
+    mean_transmittance_once,
+    transmittance_once,
+)
 
 _SIZE = 33
 """Rows (alpha, linear in its square root) and columns (1 - 1 / eta, linear) of the table of mean albedos."""
@@ -86,7 +91,32 @@ def albedo_above(gbuffer: GBuffer) -> Float[Array, "*b 3"]:
     return gbuffer.base_colour * (1 - r) / (1 - gbuffer.base_colour * r)
 
 
-def coupling(gbuffer: GBuffer, cos_i: Float[Array, "*b"]) -> Float[Array, "*b"]:
+def single_scattering_loss(gbuffer: GBuffer, cos_o: Float[Array, "*b"]) -> Float[Array, "*b 3"]:
+    r"""How much darker diffuse light is where the interface scatters it once, as in Mitsuba's `roughplastic`.
+
+    $$ \frac{T_1(\omega_o)}{1 - E_o} \cdot \frac{\bar T_1 / (\eta^2 (1 - \rho\,r_1))}{(1 - r) / (1 - \rho\,r)} $$
+
+    with the transmittance T_1 and the reflectance r_1 of single scattering (`surface.rough_interface`), which lose what
+    microfacets block.
+
+    Args:
+        gbuffer: Any G-buffer.
+        cos_o: Cosine between the viewer and the shading normal.
+    Returns:
+        Factor on (1 - E_o) times `albedo_above`; 1 where the material is not coupled.
+    """
+    if gbuffer.coupled is None:
+        return jnp.ones_like(gbuffer.base_colour)
+    alpha, eta, rho = gbuffer.alpha, gbuffer.eta, gbuffer.base_colour
+    squared = eta * eta
+    r = (1 - (1 - mean_interface_albedo(alpha, eta)) / squared)[..., None]
+    r1 = internal_reflectance_once(alpha, eta)[..., None]
+    outward = transmittance_once(cos_o, alpha, eta) / jnp.maximum(1 - interface_albedo(cos_o, alpha, eta), 1e-3)
+    inward = (mean_transmittance_once(alpha, eta) / squared)[..., None] / (1 - rho * r1) * (1 - rho * r) / (1 - r)
+    return jnp.where(gbuffer.coupled[..., None], outward[..., None] * inward, 1)
+
+
+def coupling(gbuffer: GBuffer, cos_i: Float[Array, "*b"], *, single: bool = False) -> Float[Array, "*b"]:
     r"""What the interface lets in from one direction, relative to the mean over all of them.
 
     $$ c = \frac{1 - E(\omega_i)}{1 - \bar E} $$
@@ -94,14 +124,18 @@ def coupling(gbuffer: GBuffer, cos_i: Float[Array, "*b"]) -> Float[Array, "*b"]:
     Args:
         gbuffer: Any G-buffer.
         cos_i: Cosine between the incoming direction and the shading normal.
+        single: True: the interface scatters light once, and loses what microfacets block.
     Returns:
         Factor on the diffuse lobe, whose cosine-weighted mean is 1; 1 where the material is not coupled.
     Source: [KSK01] Eq. 4.
     """
     if gbuffer.coupled is None:
         return jnp.ones_like(cos_i)
-    through = 1 - interface_albedo(jnp.clip(cos_i, 0, 1), gbuffer.alpha, gbuffer.eta)
-    mean = 1 - mean_interface_albedo(gbuffer.alpha, gbuffer.eta)
+    cos, alpha, eta = jnp.clip(cos_i, 0, 1), gbuffer.alpha, gbuffer.eta
+    if single:
+        through, mean = transmittance_once(cos, alpha, eta), mean_transmittance_once(alpha, eta)
+    else:
+        through, mean = 1 - interface_albedo(cos, alpha, eta), 1 - mean_interface_albedo(alpha, eta)
     return jnp.where(gbuffer.coupled, through / mean, 1)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrefl._types import Hits, Mesh
-from jaxrefl.core import cross
+from jaxrefl.core import cross, largest
 from jaxrefl.core.safe import normalise
 from jaxrefl.rays.offset import ERROR_PER_COORDINATE
 
@@ -56,5 +56,5 @@ def position(
     a, b, c = (mesh.vertices[corners[..., i]] for i in range(3))
     w0, w1, w2 = (w[..., None] for w in corner_weights(hits))
     p = a * w0 + b * w1 + c * w2
-    largest = jnp.abs(a).max(-1) * w0[..., 0] + jnp.abs(b).max(-1) * w1[..., 0] + jnp.abs(c).max(-1) * w2[..., 0]
-    return p, ERROR_PER_COORDINATE * jnp.abs(largest), normalise(cross(b - a, c - a))
+    coordinate = sum(largest(jnp.abs(x)) * w[..., 0] for x, w in ((a, w0), (b, w1), (c, w2)))
+    return p, ERROR_PER_COORDINATE * jnp.abs(coordinate), normalise(cross(b - a, c - a))
