@@ -25,12 +25,15 @@ from jaxrefl.scene import assemble
 from jaxrefl.surface import look
 from pipelines.bench_energy import bench_energy
 from pipelines.bench_main_job import run_main_job
+from pipelines.bench_path import bench_path
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
 SCENE = "mirror_room"
 SIDES = (256, 512, 1024)
 TRIANGLES = (10_000, 100_000, 1_000_000)
+SPP = (4, 8, 16, 32, 64, 128, 256)
+"""Samples per pixel of `jaxrefl bench --path`."""
 FIRST_FRAME = ["render", "cornell", "--technique", "raytrace", "--frames", "1", "--size", "960", "540"]
 
 
@@ -207,10 +210,19 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--quick", action="store_true", help="small cases, to see that it works")
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder for bench.json and bench.md")
     parser.add_argument("--main-job", type=Path, help="instead: run the main job on real scenes into this folder")
+    parser.add_argument("--path", action="store_true", help="instead: how the path tracer's error falls with samples")
     arguments = parser.parse_args(argv)
     if arguments.main_job:
         rows, commands = run_main_job(arguments.main_job)
         _write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
+        return 0
+    if arguments.path:
+        few = ((16, 9), (4, 8), 64, ("cornell",)) if arguments.quick else ((32, 18), SPP, 4096, None)
+        rows = bench_path(*few[:3], names=few[3])
+        title = (
+            f"Slope of log RMSE against log samples, {few[0][0]} x {few[0][1]} pixels, reference of {few[2]} samples"
+        )
+        _write(arguments.out, "path_convergence", argv, {title: rows}, ["jaxrefl bench --path"])
         return 0
     sides, triangles = ((64, 128), (1_000, 10_000)) if arguments.quick else (SIDES, TRIANGLES)
 

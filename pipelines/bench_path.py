@@ -23,6 +23,8 @@ from jaxrefl.rays import EmbreeTracer
 from jaxrefl.scene import assemble
 
 SAMPLERS = ("sobol", "independent")
+BOUNCES = {"direct": 1, "all": PathOptions().bounces}
+"""Direct light has no caustics: there low-discrepancy numbers can show what they are worth."""
 _ROUNDING = 1e-5
 
 
@@ -37,28 +39,29 @@ def bench_path(
         reference_spp: Samples per pixel of what they are compared with.
         names: Built-in scenes; None: all.
     Returns:
-        One row per scene and sampler: slopes of the image's RMSE (median over eight runs) and of the typical pixel's
-            (median over pixels of the root mean square over runs), and the RMSE at the first and the last of `spp`.
+        One row per scene, length of paths and sampler: slopes of the image's RMSE (median over eight runs) and of the
+            typical pixel's (median over pixels of the root mean square over runs), and the RMSE at the first and the
+            last of `spp`.
     """
     rows = []
     for name in scenes.BUILT_IN if names is None else names:
         scene = assemble(scenes.build(name))
         tracer, camera = EmbreeTracer(scene.mesh), scenes.BUILT_IN[name].path(1, size=size)[0]
 
-        def render(seed, samples, sampler, state=None, scene=scene, tracer=tracer, camera=camera):
-            options = ProgressiveOptions(PathOptions(sampler=sampler), pixel="centre")
-            goal = Goal(spp=samples)
-            return render_progressively(
-                scene, tracer, camera, jnp.uint32(seed), goal=goal, options=options, state=state
-            )
+        def render(seed, samples, path, state=None, scene=scene, tracer=tracer, camera=camera):
+            options = ProgressiveOptions(path, pixel="centre")
+            goal, key = Goal(spp=samples), jnp.uint32(seed)
+            return render_progressively(scene, tracer, camera, key, goal=goal, options=options, state=state)
 
-        truth = np.asarray(estimate(render(1, reference_spp, SAMPLERS[0])).radiance)
-        for sampler in SAMPLERS:
-            state, errors = None, []
-            for n in spp:
-                state = render(0, REPLICATES * n, sampler, state)
-                errors.append(_errors(state, truth))
-            rows.append({"scene": name, "sampler": sampler, **slopes(errors, spp)})
+        for light, bounces in BOUNCES.items():
+            truth = np.asarray(estimate(render(1, reference_spp, PathOptions(bounces=bounces))).radiance)
+            for sampler in SAMPLERS:
+                state, errors = None, []
+                for n in spp:
+                    path = PathOptions(bounces=bounces, sampler=sampler)
+                    state = render(0, REPLICATES * n, path, state)
+                    errors.append(_errors(state, truth))
+                rows.append({"scene": name, "light": light, "sampler": sampler, **slopes(errors, spp)})
     return rows
 
 

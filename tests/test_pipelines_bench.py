@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from pipelines.bench import growth, interleaved, main, table
+from pipelines.bench_path import slopes
 
 
 def test_growth_finds_exponents():
@@ -29,6 +31,17 @@ def test_tables_are_markdown():
     assert table([{"a": 1, "b": 0.123456}]) == "| a | b |\n|---|---|\n| 1 | 0.1235 |"
 
 
+def test_slopes_of_known_errors_are_found():
+    spp = (4, 16, 64)
+    errors = [np.full((8, 3, 5), 0.09 / n) for n in spp]
+    found = slopes(errors, spp)
+    assert found["slope"] == pytest.approx(-0.5) and found["slope, typical pixel"] == pytest.approx(-0.5)
+    assert found["RMSE at 4 samples"] == pytest.approx(0.15) and found["RMSE at 64 samples"] == pytest.approx(0.0375)
+    errors[2][3, 1, 2] = 1e6  # one bright pixel in one run moves neither median
+    assert slopes(errors, spp)["slope"] == pytest.approx(-0.5)
+    assert slopes([np.zeros((8, 3, 5))] * 3, spp)["slope"] is None
+
+
 def test_the_main_job_needs_its_scenes(tmp_path, monkeypatch):
     monkeypatch.setenv("JAXREFL_SCENES", str(tmp_path))
     with pytest.raises(ValueError, match="JAXREFL_SCENES: expected a folder with cornell-obj"):
@@ -41,3 +54,16 @@ def test_a_quick_benchmark_writes_its_tables(tmp_path):
     for name in ("bench", "energy"):
         assert (tmp_path / f"{name}.md").read_text().startswith("**")
         assert json.loads((tmp_path / f"{name}.json").read_text())["stamp"]["hardware"]
+
+
+@pytest.mark.slow
+def test_a_quick_convergence_benchmark_writes_its_table(tmp_path):
+    assert main(["--path", "--quick", "--out", str(tmp_path)]) == 0
+    (rows,) = (v for k, v in json.loads((tmp_path / "path_convergence.json").read_text()).items() if "Slope" in k)
+    assert [(row["light"], row["sampler"]) for row in rows] == [
+        ("direct", "sobol"),
+        ("direct", "independent"),
+        ("all", "sobol"),
+        ("all", "independent"),
+    ]
+    assert all(row["RMSE at 8 samples"] > 0 for row in rows)
