@@ -67,10 +67,11 @@ def test_the_error_estimate_is_honest(cornell, options):
         for a, b in ((off, expected), (off_blocks, expected_blocks))
     )
     pooled = np.square(off).mean() / np.square(expected).mean()
-    print(pooled, np.median(pixels), np.median(blocks))
-    # Expected is 1, below by some 3 % for the median. Six pixels in a thousand hold most of the pooled error.
+    # Measured with sobol and with independent numbers: 1.06 and 1.03.
     assert 0.85 < np.median(pixels) < 1.15
-    assert 0.75 < np.median(blocks) < 1.25
+    # 1.17 and 0.80: the median of 36 ratios of 16 runs.
+    assert 0.7 < np.median(blocks) < 1.35
+    # 1.11 and 1.00: one pixel in a hundred holds 60 and 80 % of it.
     assert 0.7 < pooled < 1.4
 
 
@@ -108,8 +109,7 @@ def test_replicates_are_runs_of_their_own(cornell):
     sums = np.asarray(render(cornell, 4, 64).radiance).reshape(REPLICATES, -1)
     apart = sums - sums.mean(0)
     correlation = np.corrcoef(apart / apart.std(0))[~np.eye(REPLICATES, dtype=bool)]
-    print(np.abs(correlation + 1 / (REPLICATES - 1)).max())
-    # Deviations from a common mean correlate by -1/(R-1).
+    # Deviations from a common mean correlate by -1/(R-1); measured within 0.10 of it.
     assert np.abs(correlation + 1 / (REPLICATES - 1)).max() < 0.2
 
 
@@ -139,7 +139,7 @@ def test_large_images_take_fewer_samples_per_pass(cornell):
     size = lambda block: samples_per_pass(cornell[2], ProgressiveOptions(PathOptions(block=block)))  # noqa: E731
     assert [size(64), size(256), size(1024), size(2**20)] == [1, 2, 8, 64]
     one = dataclasses.replace(SOBOL, path=dataclasses.replace(SOBOL.path, block=128))
-    # Blocks of another size are other programs, whose last bits may differ: measured 2e-6 relative.
+    # Blocks of another size are other programs, whose last bits may differ.
     found, expected = (estimate(render(cornell, 3, 10, options)).radiance for options in (one, SOBOL))
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
