@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from jaxrefl.radiance.progressive import Goal
-from pipelines.flags import CameraFlags, Count, File, Folder, OutFolder, SceneFlags, SizeFlag, optional_flag
+from pipelines.flags import CameraFlags, Count, File, Folder, SceneFlags, SizeFlag, optional_flag
 from pipelines.flags_to_job import camera_of, scene_of, value_of
 from pipelines.job import Job, Outputs, SceneSource, read_job
 from pipelines.knobs import complete, knobs_of
@@ -19,6 +19,11 @@ from pipelines.reference import GOAL
 from pipelines.toml_tables import JobError
 
 _NONE = f"none; {GOAL.spp} samples or an error of {GOAL.error} if nothing is asked for"
+OutFolder = Annotated[
+    Path | None,
+    optional_flag(Path, "DIR", "")[0],
+    tyro.conf.arg(aliases=["-o"], help_behavior_hint="(default: results/NAME-reference, after the job or the scene)"),
+]
 Spp = Annotated[int | None, *optional_flag(int, "N", _NONE)]
 Share = Annotated[float | None, *optional_flag(float, "REL", _NONE)]
 Seconds = Annotated[float | None, *optional_flag(float, "SECONDS", "none")]
