@@ -14,6 +14,7 @@ COMMANDS = {
     "render": "render a scene along a camera path",
     "reference": "path trace images that errors can be measured against",
     "compare": "render with several techniques and measure their errors",
+    "bake": "bake the diffuse light of a scene into a light map",
     "report": "write the HTML report of a results folder",
     "export": "write a scene for another renderer",
     "scenes": "list the built-in scenes",

@@ -31,14 +31,14 @@ _turn = threading.Lock()
 
 
 def _render(
-    text: str, unit: Unit, references: Mapping[int, np.ndarray], command: str | None
+    text: str, unit: Unit, references: Mapping[int, np.ndarray], command: str | None, folder: str
 ) -> tuple[list[FrameFiles], list[str]]:
     """On a worker: render a unit, with the stage of the last job kept."""
     global _stage
     with _turn:  # a worker with several threads renders one unit at a time: JAX and Embree use all cores anyway
         if _stage is None or _stage[0] != text:
             _stage = None
-            _stage = text, Stage(parse_job(text))
+            _stage = text, Stage(parse_job(text), folder=Path(folder))
         return list(render_unit(_stage[1], unit, references, command=command)), _stage[1].notes
 
 
@@ -70,7 +70,7 @@ def render_remotely(
             room = _AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])) - len(running)
             for unit in [u for u in waiting if _is_ready(job, out, u)][: max(room, 0)]:
                 waiting.remove(unit)
-                arguments = (text, unit, references_of(job, out, unit), command)
+                arguments = (text, unit, references_of(job, out, unit), command, str(out.absolute()))
                 future = client.submit(_render, *arguments, pure=False)
                 running[future] = unit
                 completed.add(future)

@@ -1,13 +1,14 @@
 """What the commands do, once their words are understood."""
 
 import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from pipelines.flags import CompareBase, RenderBase, SceneFlags
+from pipelines.flags import BakeFlags, CompareBase, RenderBase, SceneFlags
 from pipelines.flags_to_job import job_of, parse, scene_of
 from pipelines.toml_tables import JobError
 
@@ -49,6 +50,15 @@ Examples:
   jaxrefl reference cornell --spp 256 --size 480 270 --out results/reference
   jaxrefl compare cornell --techniques raytrace --size 480 270 --reference results/reference --out results/errors
   jaxrefl reference scene.glb --error 0.005 --time 3600 --out results/scene
+"""
+
+BAKE_HELP = """Bake the diffuse light of a static scene, all bounces included, into a light map.
+
+Later runs read it with --light.lightmap FILE as long as the scene and the knobs are the same.
+
+Examples:
+  jaxrefl bake cornell --out cornell.npz
+  jaxrefl render cornell --light.model baked --light.lightmap cornell.npz
 """
 
 INFO_HELP = """Tell what is in a scene: triangles, materials, lights, cameras, features and what they switch on.
@@ -181,6 +191,33 @@ def export(argv: Sequence[str]) -> int:
     from pipelines.export import main
 
     return main(list(argv))
+
+
+def bake(argv: Sequence[str]) -> int:
+    """`jaxrefl bake`.
+
+    Args:
+        argv: Words after the command.
+    Returns:
+        Exit code.
+    """
+    from jaxrefl.radiance import LightMapOptions
+    from jaxrefl.rays import EmbreeTracer
+    from pipelines.job import Job
+    from pipelines.lightmaps import baked, write
+    from pipelines.resolve import resolve
+    from pipelines.stage import load_scene
+
+    flags: Any = tyro.cli(BakeFlags, args=list(argv), prog="jaxrefl bake", description=BAKE_HELP)
+    out = flags.out or Path("results") / f"{Path(flags.scene or 'scene').stem}.lightmap.npz"
+    scene, _ = load_scene(resolve(Job(scene_of(flags, None))).scene)
+    try:
+        options = LightMapOptions(flags.texels, flags.samples, flags.bounces)
+    except ValueError as error:
+        raise JobError(f"--{error}") from error
+    write(baked(scene, EmbreeTracer(scene.mesh), options, lambda text: print(text, file=sys.stderr)), out)
+    print(out)
+    return 0
 
 
 def report(argv: Sequence[str]) -> int:

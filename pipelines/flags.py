@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from jaxrefl.composite import Options as CompositeOptions
-from jaxrefl.radiance import DirectOptions
+from jaxrefl.radiance import LightMapOptions, LightOptions
 from jaxrefl.techniques import TECHNIQUES
 from pipelines.job import Outputs
 from pipelines.knobs import Knob, knobs_of, technique_knobs
@@ -56,6 +56,11 @@ OutFolder = Annotated[
     optional_flag(Path, "DIR", "")[0],
     tyro.conf.arg(aliases=["-o"], help_behavior_hint="(default: results/NAME, after the job file or the scene)"),
 ]
+OutFile = Annotated[
+    Path | None,
+    optional_flag(Path, "FILE", "")[0],
+    tyro.conf.arg(aliases=["-o"], help_behavior_hint="(default: results/NAME.lightmap.npz, after the scene)"),
+]
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,20 @@ class SceneFlags:
     """Factor on all lengths in the scene file."""
     crease_angle: Number = None
     """Degrees up to which edges are smoothed where the file has no normals."""
+
+
+@dataclass(frozen=True)
+class BakeFlags(SceneFlags):
+    """Bake a light map."""
+
+    out: OutFile = None
+    """File to write."""
+    texels: int = LightMapOptions.texels
+    """Texels that cover the surfaces together, about."""
+    samples: int = LightMapOptions.samples
+    """Paths per texel and side."""
+    bounces: int = LightMapOptions.bounces
+    """Most scattering events, that at the texel included."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +172,7 @@ def knob_groups() -> dict[str, dict[str, Knob]]:
     Returns:
         Knobs by name, by group: `light`, `composite`, and one group per technique.
     """
-    groups = {"light": knobs_of(DirectOptions), "composite": knobs_of(CompositeOptions)}
+    groups = {"light": knobs_of(LightOptions), "composite": knobs_of(CompositeOptions)}
     return groups | {name: technique_knobs(technique) for name, technique in TECHNIQUES.items()}
 
 

@@ -122,7 +122,7 @@ class Job:
     reference: Reference | None = None
     """None: errors are not measured."""
     light: dict[str, Any] = field(default_factory=dict)
-    """Knobs of direct light (`jaxrefl.radiance.DirectOptions`), shared by all techniques."""
+    """Knobs of diffuse light (`jaxrefl.radiance.LightOptions`), shared by all techniques."""
     composite: dict[str, Any] = field(default_factory=dict)
     """Knobs of `jaxrefl.composite.Options`, shared by all techniques."""
     technique: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -207,7 +207,10 @@ def with_paths(job: Job, change: Callable[[str], str]) -> Job:
     reference = job.reference
     if reference is not None and reference.folder is not None:
         reference = dataclasses.replace(reference, folder=change(reference.folder))
-    return dataclasses.replace(job, scene=scene, camera=camera, reference=reference)
+    light = job.light
+    if light.get("lightmap"):
+        light = {**light, "lightmap": change(light["lightmap"])}
+    return dataclasses.replace(job, scene=scene, camera=camera, reference=reference, light=light)
 
 
 def job_text(job: Job) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from jaxrefl.composite import Options as CompositeOptions
-from jaxrefl.radiance import DirectOptions
+from jaxrefl.radiance import LightOptions
 from jaxrefl.techniques import TECHNIQUES, Technique
 from pipelines.camera_files import camera_file_facts
 from pipelines.job import Job, Reference, SceneSource, with_paths
@@ -50,7 +50,7 @@ def resolve(job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES) -> Jo
         scene=dataclasses.replace(job.scene, parameters=parameters),
         frames=job.frames or (facts.frames if facts else 1),
         size=job.size or (facts.size if facts else None) or DEFAULT_SIZE,
-        light=complete(knobs_of(DirectOptions), job.light, where="[light]") if job.techniques else {},
+        light=complete(knobs_of(LightOptions), job.light, where="[light]") if job.techniques else {},
         composite=complete(knobs_of(CompositeOptions), job.composite, where="[composite]") if job.techniques else {},
         path=None if job.techniques else complete(knobs_of(PathKnobs), job.path or {}, where="[path]"),
         technique={name: knobs[name] for name in job.techniques},

@@ -14,6 +14,7 @@ from jaxrefl.techniques import TECHNIQUES, Technique
 from pipelines.folder import claim, collect, locked, store
 from pipelines.frames import FrameFiles, Unit, render_unit
 from pipelines.job import Job
+from pipelines.lightmaps import wants_lightmap
 from pipelines.plan import plan, references_of
 from pipelines.progress import Silent, shown
 from pipelines.resolve import resolve
@@ -81,6 +82,9 @@ def _do(job, out, units, progress, scheduler, command, techniques) -> None:
     else:
         from pipelines.cluster import render_remotely
 
+        if wants_lightmap(job):  # baked once, here, rather than by each worker
+            Stage(job, folder=out, say=progress.note)
+
         finished = render_remotely(job, out, units, progress, scheduler=scheduler, command=command)
     for frame in finished:
         store(out, frame)
@@ -88,7 +92,7 @@ def _do(job, out, units, progress, scheduler, command, techniques) -> None:
 
 
 def _here(job, out, units: Iterable[Unit], progress, command, techniques) -> Iterator[FrameFiles]:
-    stage = Stage(job, techniques=techniques)
+    stage = Stage(job, techniques=techniques, folder=out, say=progress.note)
     for note in stage.notes:
         progress.note(note)
     for unit in units:

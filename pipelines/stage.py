@@ -5,14 +5,15 @@ Built from a resolved job alone, so that a worker on another machine builds the 
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
 from jaxrefl._types import Camera, GBuffer, Scene, Tracer
 from jaxrefl.composite import Options as CompositeOptions
-from jaxrefl.radiance import DirectOptions, direct_light
+from jaxrefl.radiance import LightOptions, diffuse_light
 from jaxrefl.rays import EmbreeTracer
 from jaxrefl.scene import SceneWarning, assemble, load
 from jaxrefl.surface import look
@@ -20,6 +21,7 @@ from jaxrefl.techniques import TECHNIQUES, Technique
 from pipelines.cameras import job_cameras
 from pipelines.job import Job, SceneSource
 from pipelines.knobs import build, find_technique
+from pipelines.lightmaps import wants_lightmap, with_lightmap
 from pipelines.measure import timed
 from pipelines.toml_tables import JobError
 from scenes import BUILT_IN
@@ -89,18 +91,29 @@ class Stage:
     Args:
         job: Resolved job.
         techniques: The techniques that exist.
+        folder: Results folder, which keeps the light map of jobs that name no file for it; None: it is kept nowhere.
+        say: Told about the light map while it is baked; None: it is added to `notes`.
     Raises:
         ValueError: If the scene, a camera or a knob does not fit.
     """
 
-    def __init__(self, job: Job, *, techniques: Mapping[str, Technique] = TECHNIQUES):
+    def __init__(
+        self,
+        job: Job,
+        *,
+        techniques: Mapping[str, Technique] = TECHNIQUES,
+        folder: Path | None = None,
+        say: Callable[[str], None] | None = None,
+    ):
         self.job = job
         self.scene, self.notes = load_scene(job.scene)
         self.tracer: Tracer = EmbreeTracer(self.scene.mesh)
         self.cameras, notes = job_cameras(job, self.scene, self.tracer)
         self.notes += notes
         self.composite = build(CompositeOptions, job.composite, where="[composite]")
-        self._light = build(DirectOptions, job.light, where="[light]")
+        self._light = build(LightOptions, job.light, where="[light]")
+        if wants_lightmap(job):
+            self.scene = with_lightmap(self.scene, self.tracer, self._light, folder, say or self.notes.append)
         self._techniques = techniques
         self._prepared: dict[str, Prepared] = {}
         self._view: tuple[int, View] | None = None
@@ -139,7 +152,7 @@ class Stage:
             previous = self.cameras[max(frame - 1, 0)] if len(self.cameras) > 1 else None
             surface = timed(lambda: look(self.scene, self.tracer, self.cameras[frame], previous_camera=previous))
             gbuffer, key = surface.value, self.key(frame, 0)
-            diffuse = timed(lambda: direct_light(self.scene, self.tracer, gbuffer, key, options=self._light))
+            diffuse = timed(lambda: diffuse_light(self.scene, self.tracer, gbuffer, key, options=self._light))
             seconds = {"surface": surface.seconds, "diffuse": diffuse.seconds}
             self._view = frame, View(gbuffer, diffuse.value, seconds)
         return self._view[1]

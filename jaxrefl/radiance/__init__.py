@@ -15,6 +15,7 @@ from .light_samples import sample_lights as sample_lights
 from .lightmap import LightMapOptions as LightMapOptions
 from .lightmap import bake as bake
 from .lightmap import baked_light as baked_light
+from .lightmap_file import StaleLightMap as StaleLightMap
 from .lightmap_file import load_lightmap as load_lightmap
 from .lightmap_file import save_lightmap as save_lightmap
 from .lightmap_file import scene_fingerprint as scene_fingerprint

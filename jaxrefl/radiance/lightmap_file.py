@@ -13,6 +13,10 @@ from jaxrefl._types import LightMap, Scene
 _VERSION = 1
 
 
+class StaleLightMap(ValueError):
+    """A light map that was baked for another scene, or for this one before it was changed."""
+
+
 def scene_fingerprint(scene: Scene) -> str:
     """Digest of everything that a light map depends on.
 
@@ -61,7 +65,8 @@ def load_lightmap(path: str | PathLike[str], scene: Scene) -> LightMap:
     Returns:
         The map.
     Raises:
-        ValueError: If the file is no light map, or that of another scene or of an earlier state of this one.
+        StaleLightMap: If it was baked for another scene, or for this one before it was changed.
+        ValueError: If the file is no light map.
         OSError: If it cannot be read.
     """
     try:
@@ -75,7 +80,7 @@ def load_lightmap(path: str | PathLike[str], scene: Scene) -> LightMap:
         raise ValueError(f"{path}: expected a light map of version {_VERSION}, got {version}")
     own = scene_fingerprint(scene)
     if fingerprint != own:
-        raise ValueError(
+        raise StaleLightMap(
             f"{path}: was baked for a scene with other geometry, materials or lights than {scene.names.scene!r} has "
             f"(expected {own[:12]}, got {fingerprint[:12]}); bake it again"
         )

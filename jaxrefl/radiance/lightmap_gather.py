@@ -96,8 +96,8 @@ def gather_light(
         empty = np.zeros((0, 3), np.float32)
         return Gathered(empty[None].repeat(2, 0), empty[None].repeat(2, 0), empty[:, 0], empty, empty)
     direct, indirect, seen, p, n = (list(x) for x in zip(*parts, strict=True))
-    halves = (np.concatenate(x, axis=1) for x in (direct, indirect))
-    return Gathered(*halves, *(np.concatenate(x) for x in (seen, p, n)))
+    direct, indirect = (np.concatenate(x, axis=1) for x in (direct, indirect))
+    return Gathered(direct, indirect, np.concatenate(seen), np.concatenate(p), np.concatenate(n))
 
 
 def together(a: Gathered, b: Gathered, share: float) -> Gathered:
