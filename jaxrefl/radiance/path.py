@@ -159,12 +159,11 @@ class _Block:
         """Cast this block's rays and start the device on what they hit; False once nothing is left to do."""
         if not self.live:
             return False
-        active, shadowed = np.asarray(self.paths.job) >= 0, np.asarray(self.shadows.t_max)
-        self.live = bool(active.any() or (shadowed > 0).any())
+        self.live = bool((np.asarray(self.paths.job) >= 0).any() or (np.asarray(self.shadows.t_max) > 0).any())
         if not self.live:
             return False
         blocked = self.tracer.occluded(self.shadows.rays, self.shadows.t_max)
-        hits = self.tracer.closest(self.paths.rays, active=active)
+        hits = self.tracer.closest(self.paths.rays, active=self.paths.job >= 0)
         scene, paths, options = self.scene, self.paths, self.options
         points = build_gbuffer(scene, paths.rays, hits)
         random = numbers(paths, options=options)
@@ -183,9 +182,9 @@ class _Block:
         )
         if self.kinds:
             lamps = pick_lamps(scene, random, kinds=self.kinds)
-            light, density = aim(scene, vertex, lamps, kinds=self.kinds)
-            response = answer(vertex, light, options=options)
-            self.shadows = look_for_light(paths, vertex, light, density, response, options=options)
+            aimed = aim(scene, vertex, lamps, kinds=self.kinds)
+            response = answer(vertex, aimed, options=options)
+            self.shadows = look_for_light(paths, vertex, aimed, response, options=options)
         sample = choose(scene, vertex, draw(vertex), options=options)
         self.paths = go_on(self.batch, paths, vertex, sample, options=options)
         return True

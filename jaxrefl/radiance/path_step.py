@@ -8,6 +8,7 @@ has ended are refilled from the batch instead of being carried along.
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -263,26 +264,34 @@ def _sky(lights: Lights, paths: Paths, kinds: tuple[str, ...], ambient: bool) ->
     return seen
 
 
+class Aimed(eqx.Module):
+    """Where light samples lie, as those who look for light see them."""
+
+    point: LightPoint
+    """The points."""
+    density: Float[Array, "n"]
+    """Density with which they were found, 1/sr; huge for lights that paths cannot hit by chance."""
+
+
 @functools.partial(jax.jit, static_argnames="options")
-def answer(vertex: Vertex, light: LightPoint, *, options: PathOptions) -> Response:
+def answer(vertex: Vertex, aimed: Aimed, *, options: PathOptions) -> Response:
     """What each lobe makes of a light.
 
     Args:
         vertex: Where paths are.
-        light: From `aim`.
+        aimed: From `aim`.
         options: Static knobs.
     Returns:
         Values and densities of the lobes.
     """
-    return respond(vertex.points, vertex.lobes, light.wi, options.scattering)
+    return respond(vertex.points, vertex.lobes, aimed.point.wi, options.scattering)
 
 
 @functools.partial(jax.jit, static_argnames="options")
 def look_for_light(
     paths: Paths,
     vertex: Vertex,
-    light: LightPoint,
-    density: Float[Array, "n"],
+    aimed: Aimed,
     response: Response,
     *,
     options: PathOptions,
@@ -292,8 +301,7 @@ def look_for_light(
     Args:
         paths: The paths, before they go on.
         vertex: Where they are.
-        light: From `aim`.
-        density: From `aim`.
+        aimed: From `aim`.
         response: From `answer`.
         options: Static knobs.
     Returns:
@@ -301,6 +309,7 @@ def look_for_light(
     Source: [PBRT4] §13.4.
     """
     points, lobes = vertex.points, vertex.lobes
+    light, density = aimed.point, aimed.density
     arriving = vertex.throughput * light.radiance * light.inverse_density[:, None]
     parts = (
         (DIFFUSE, response.diffuse, 1 - lobes.specular, response.diffuse_density),
@@ -325,7 +334,7 @@ def look_for_light(
 
 
 @functools.partial(jax.jit, static_argnames="kinds")
-def aim(scene: Scene, vertex: Vertex, lamps: Lamps, *, kinds: tuple[str, ...]) -> tuple[LightPoint, Float[Array, "n"]]:
+def aim(scene: Scene, vertex: Vertex, lamps: Lamps, *, kinds: tuple[str, ...]) -> Aimed:
     """A point on one light of one kind, and the density with which it was found.
 
     Args:
@@ -334,27 +343,29 @@ def aim(scene: Scene, vertex: Vertex, lamps: Lamps, *, kinds: tuple[str, ...]) -
         lamps: From `pick_lamps`.
         kinds: From `light_kinds`, not empty.
     Returns:
-        The points, and their densities, 1/sr; huge for lights that paths cannot hit by chance.
+        The points, and their densities.
     """
     points, random = vertex.points, vertex.numbers
-    found: list[tuple[LightPoint, Float[Array, n]]] = []
+    found: list[Aimed] = []
     if lamps.area is not None:
         point = area_light_point(lamps.area, points.p)
-        found.append((point, safe.divide(jnp.ones_like(points.t), point.inverse_density)))
+        found.append(Aimed(point, safe.divide(jnp.ones_like(points.t), point.inverse_density)))
     if lamps.sky is not None:
         wi, radiance, density = lamps.sky
-        found.append((LightPoint(wi, wi * FAR, radiance, safe.divide(jnp.ones_like(density), density)), density))
+        point = LightPoint(wi, wi * FAR, radiance, safe.divide(jnp.ones_like(density), density))
+        found.append(Aimed(point, density))
     if lamps.punctual is not None and scene.lights.punctual is not None:
         point = punctual_light_point(lamps.punctual, points.p, points.p_error, _pair(random, _LIGHT))
         count = scene.lights.punctual.directional.shape[0]
         point = dataclasses.replace(point, inverse_density=point.inverse_density * count)
-        found.append((point, jnp.full_like(points.t, _CERTAIN)))
-    point, density = found[0]
+        found.append(Aimed(point, jnp.full_like(points.t, _CERTAIN)))
+    chosen = found[0]
     for number, other in enumerate(found[1:], start=1):
-        chosen = lamps.kind == number
-        pick = lambda x, y, c=chosen: jnp.where(c.reshape(-1, *[1] * (x.ndim - 1)), y, x)  # noqa: E731
-        point, density = jax.tree.map(pick, (point, density), other)
-    return dataclasses.replace(point, inverse_density=point.inverse_density * len(kinds)), density / len(kinds)
+        meant = lamps.kind == number
+        pick = lambda x, y, m=meant: jnp.where(m.reshape(-1, *[1] * (x.ndim - 1)), y, x)  # noqa: E731
+        chosen = jax.tree.map(pick, chosen, other)
+    point = dataclasses.replace(chosen.point, inverse_density=chosen.point.inverse_density * len(kinds))
+    return Aimed(point, chosen.density / len(kinds))
 
 
 @functools.partial(jax.jit, static_argnames="kinds")

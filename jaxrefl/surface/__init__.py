@@ -1,7 +1,9 @@
+from .bsdf import Scattering as Scattering
 from .gbuffer import build_gbuffer as build_gbuffer
 from .gbuffer import look as look
 from .specular import diffuse_albedo as diffuse_albedo
 from .specular import keep_above as keep_above
+from .specular import lobe_albedo as lobe_albedo
 from .specular import mirror_direction as mirror_direction
 from .specular import reflective as reflective
 from .specular import refractive as refractive

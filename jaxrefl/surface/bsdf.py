@@ -39,6 +39,7 @@ from jaxrefl.core import (
 )
 from jaxrefl.core.safe import divide, normalise
 from jaxrefl.surface.coupling import coupling, single_scattering_loss
+from jaxrefl.surface.rough_interface import transmittance_once
 from jaxrefl.surface.specular import (
     LobeAlbedo,
     dielectric_fresnel,
@@ -149,7 +150,7 @@ def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
         share = points.transmission * (1 - points.metallic)
         refracted = points.base_colour * share[:, None]
         if model.multiple_scattering:
-            refracted = refracted * _refraction_boost(points, albedo, rest)[:, None]
+            refracted = refracted * _refraction_boost(points, wo[:, 2], rest)[:, None]
         into = luminance(rest * points.base_colour) * share
     upper, lower = luminance(specular) + into, luminance(diffuse * rest)
     # Neither lobe below a tenth while it is there at all: what the luminance misses in one channel stays bounded.
@@ -158,11 +159,12 @@ def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
     return Lobes(wo, specular, boost, single, diffuse, refracted, p_diffuse)
 
 
-def _refraction_boost(points: GBuffer, albedo: LobeAlbedo, rest: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    """Compensation for the refracted light that single scattering loses, so that with the reflection all is there."""
-    single = (albedo.scale + albedo.bias) * (1 - dielectric_fresnel(points, albedo.cosine))
-    boost = divide(rest[:, 1], single, fill=1.0)
-    # From inside the average Fresnel term is too poor an approximation to divide by.
+def _refraction_boost(points: GBuffer, cos_o: Float[Array, "n"], rest: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    """Compensation for the refracted light that single scattering loses, so that with the reflection all is there.
+
+    From inside there is none: the average Fresnel term of `specular_weight` is too poor there to divide by.
+    """
+    boost = divide(rest[:, 1], transmittance_once(cos_o, points.alpha, points.eta), fill=1.0)
     return jnp.where(points.outside & (points.alpha > 0), jnp.clip(boost, 1, 4), 1)
 
 

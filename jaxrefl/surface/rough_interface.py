@@ -105,7 +105,7 @@ def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _cosine_nodes(critical: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights for 2 mu dmu, in two parts that meet at the cosine of the critical angle, where F has a kink."""
+    """Nodes and weights for 2 mu dmu, in two parts that meet at the critical angle, where F has a kink."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
     parts = []
     for low, high in ((0.0, critical), (critical, 1.0)):
