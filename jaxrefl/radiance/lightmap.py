@@ -28,9 +28,10 @@ from jaxrefl.core import cross, dot, safe
 from jaxrefl.radiance.lightmap_atlas import Atlas, Places, make_atlas, places_of
 from jaxrefl.radiance.lightmap_file import scene_fingerprint
 from jaxrefl.radiance.lightmap_fill import filled
-from jaxrefl.radiance.lightmap_gather import PER_PLACE, Gathered, gather_light, together
+from jaxrefl.radiance.lightmap_gather import MOST_ROWS, PER_PLACE, PLACES, Gathered, gather_light, together
 from jaxrefl.radiance.lightmap_sides import Sides, sides_of
 from jaxrefl.radiance.lightmap_smooth import Surface, scattered, smoothed
+from jaxrefl.rays.blocks import block_size
 from jaxrefl.surface.specular import diffuse_albedo
 
 
@@ -125,13 +126,14 @@ def _layer(work: _Work, side: int) -> Float[np.ndarray, "lh lw 3"]:
     chosen = np.flatnonzero(work.sides.baked[side, places.triangle[:, 0]])
     if not len(chosen):
         return np.zeros((*shape, 3), np.float32)
-    passes = 2 * -(-options.samples // (2 * PER_PLACE))
-    found = _gather(work, side, chosen, (0, 2))
+    found = _gather(work, side, chosen, 0)
     total = np.bincount(owner[chosen], weights=(found.direct + found.indirect).sum((0, 2)))
     lit = total[owner[chosen]] > 0
     chosen, found = chosen[lit], Gathered(*(x[..., lit, :] if x.ndim > 1 else x[lit] for x in found))
-    if passes > 2:
-        found = together(found, _gather(work, side, chosen, (2, passes - 2)), 2 / passes)
+    for number in range(1, -(-options.samples // (PLACES * PER_PLACE))):
+        found = together(found, _gather(work, side, chosen, number), number / (number + 1))
+    if not len(chosen):
+        return np.zeros((*shape, 3), np.float32)
     texel = places.texel[chosen]
     known = scattered(found.seen[:, None], texel, shape)[..., 0]
     if options.smoothing:
@@ -146,23 +148,28 @@ def _layer(work: _Work, side: int) -> Float[np.ndarray, "lh lw 3"]:
     return filled(light, known > 0)
 
 
-def _gather(work: _Work, side: int, chosen: np.ndarray, passes: tuple[int, int]) -> Gathered:
+def _gather(work: _Work, side: int, chosen: np.ndarray, number: int) -> Gathered:
+    """Call number `number` for the same texels, each with places and random numbers of its own."""
+
     def progress(done: int) -> None:
         if work.progress is not None:
-            each = len(work.places.texel) * work.options.samples
-            before = side * each + passes[0] * PER_PLACE * len(work.places.texel)
-            work.progress(min(before + done, work.layers * each), work.layers * each)
+            call = len(work.places.texel) * PLACES * PER_PLACE
+            each = -(-work.options.samples // (PLACES * PER_PLACE)) * call
+            work.progress(side * each + number * call + done, work.layers * each)
 
-    return gather_light(
+    found = gather_light(
         work.scene,
         work.tracer,
         work.atlas,
         Places(*(x[chosen] for x in work.places)),
         inner=work.sides.inner,
         side=side,
-        effort=(*passes, work.options.bounces),
+        effort=(number * PLACES, work.options.bounces),
+        rows=block_size(len(work.places.texel), MOST_ROWS),
         progress=progress,
     )
+    progress(len(work.places.texel) * PLACES * PER_PLACE)
+    return found
 
 
 @jax.jit

@@ -127,8 +127,8 @@ def places_of(atlas: Atlas) -> Places:
     return Places(texel, np.take_along_axis(tiles, order, axis=-1), _SPREAD[order])
 
 
-_SPREAD = np.array([0, 10, 2, 8, 5, 15, 7, 13, 1, 11, 3, 9, 4, 14, 6, 12])
-"""Order of a 4 by 4 grid in which any first few places lie apart (an ordered dither)."""
+_SPREAD = np.array([1, 14, 4, 11, 2, 13, 7, 8, 0, 15, 6, 9, 3, 12, 5, 10])
+"""Order of a 4 by 4 grid in which each two lie opposite each other, and each four in rows and columns of their own."""
 
 
 def _rasterise(atlas: Atlas) -> Int[np.ndarray, "gh gw"]:

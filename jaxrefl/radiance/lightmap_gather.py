@@ -26,7 +26,10 @@ from jaxrefl.surface.gbuffer import build_gbuffer
 
 PER_PLACE = 4
 """Paths and light samples of each kind at each place."""
-_PLACES_PER_BLOCK = 2**15
+PLACES = 2
+"""Places per texel that one call looks at."""
+MOST_ROWS = 2**14
+"""Most texels per block."""
 
 
 class Gathered(NamedTuple):
@@ -52,7 +55,8 @@ def gather_light(
     *,
     inner: Bool[np.ndarray, "2 f"],
     side: int,
-    effort: tuple[int, int, int],
+    effort: tuple[int, int],
+    rows: int,
     progress: Callable[[int], None],
 ) -> Gathered:
     """Mean light at texels.
@@ -64,34 +68,34 @@ def gather_light(
         places: The texels to look at.
         inner: Inner sides of solid objects.
         side: 0: the side the triangles face, 1: the other.
-        effort: Number of the first pass, even number of passes (places per texel), and scattering events.
+        effort: Number of the first of the `PLACES` places of each texel that are looked at, and scattering events.
+        rows: Texels per block; each value compiles anew.
         progress: Called with the number of paths so far.
     Returns:
         One row per texel.
     Edge cases: a texel of which nothing is seen has no light.
     """
-    first, passes, bounces = effort
-    rows = max(_PLACES_PER_BLOCK // passes, 1)
+    first, bounces = effort
     solid = jnp.asarray(inner) if inner.any() else None
     uv = jnp.asarray(atlas.uv)
     options = PathOptions(bounces=bounces - 1)
     parts = []
     for start in range(0, len(places.texel), rows):
         block = Places(*(_padded(x[start : start + rows], rows) for x in places))
-        index = np.arange(first, first + passes) % places.triangle.shape[1]
+        index = np.arange(first, first + PLACES) % places.triangle.shape[1]
         spots = _Spots(block.texel.astype(np.int32), block.triangle[:, index], block.place[:, index])
         points, sequence = _look_at(scene, uv, spots, width=atlas.width, side=side)
-        more, rays, weight, numbers = _ways(points, sequence, passes=passes, first=first)
+        more, rays, weight, numbers = _ways(points, sequence, jnp.asarray(first, jnp.int32))
         hits = tracer.closest(rays)
         key = jax.random.fold_in(jax.random.key(side), start + first * len(places.texel))
         direct = other_light(scene, tracer, points, key, PER_PLACE)
         lamps = lamp_light(scene, tracer, more, numbers, rays, weight, hits)
         enclosed = None if solid is None else _enclosed(scene, rays, hits, solid)
         light = path_light(scene, tracer, rays, *numbers, options=options)
-        block_sums = _means(points, (direct, lamps), weight, light, enclosed, passes=passes)
+        block_sums = _means(points, (direct, lamps), weight, light, enclosed)
         kept = len(places.texel) - start
         parts.append([np.asarray(x)[..., :kept, :] if x.ndim > 1 else np.asarray(x)[:kept] for x in block_sums])
-        progress(min(start + rows, len(places.texel)) * passes * PER_PLACE)
+        progress(min(start + rows, len(places.texel)) * PLACES * PER_PLACE)
     if not parts:
         empty = np.zeros((0, 3), np.float32)
         return Gathered(empty[None].repeat(2, 0), empty[None].repeat(2, 0), empty[:, 0], empty, empty)
@@ -113,12 +117,12 @@ def together(a: Gathered, b: Gathered, share: float) -> Gathered:
     wa, wb = share * a.seen, (1 - share) * b.seen
     total = np.maximum(wa + wb, 1e-9)
     wa, wb = (wa / total)[:, None], (wb / total)[:, None]
-    light = [x * wa + y * wb for x, y in zip(a[:2], b[:2], strict=True)]
-    return Gathered(*light, total * (total > 1e-8), *(x * wa + y * wb for x, y in zip(a[3:], b[3:], strict=True)))
+    direct, indirect = (x * wa + y * wb for x, y in zip(a[:2], b[:2], strict=True))
+    return Gathered(direct, indirect, total * (total > 1e-8), a.p * wa + b.p * wb, a.n * wa + b.n * wb)
 
 
 class _Spots(NamedTuple):
-    """Texels with one place per pass."""
+    """Texels with some of their places."""
 
     texel: np.ndarray
     triangle: np.ndarray
@@ -136,8 +140,8 @@ def _look_at(
     """Surface points as seen from straight above, and the sequence of numbers of each texel's side."""
     texel, triangle = jnp.asarray(spots.texel), jnp.asarray(spots.triangle)
     place = jnp.asarray(spots.place)
-    x = (texel % width)[:, None] + ((place % GRID).astype(jnp.float32) + 0.5) / GRID
-    y = (texel // width)[:, None] + ((place // GRID).astype(jnp.float32) + 0.5) / GRID
+    x = (texel % width).astype(jnp.float32)[:, None] + ((place % GRID).astype(jnp.float32) + 0.5) / GRID
+    y = (texel // width).astype(jnp.float32)[:, None] + ((place // GRID).astype(jnp.float32) + 0.5) / GRID
     a, b, c = (uv[triangle, i] for i in range(3))
     ab, ac = b - a, c - a
     px, py = x - a[..., 0], y - a[..., 1]
@@ -159,11 +163,11 @@ def _look_at(
 
 @eqx.filter_jit
 def _ways(
-    points: GBuffer, sequence: UInt32[Array, "n"], *, passes: int, first: int
+    points: GBuffer, sequence: UInt32[Array, "n"], first: Array
 ) -> tuple[GBuffer, Rays, Float[Array, "k"], tuple[UInt32[Array, "k"], UInt32[Array, "k"]]]:
     """Places, paths that start there, their weights, and sequence and number of each."""
     count = sequence.shape[0]
-    pass_number = (jnp.arange(count, dtype=jnp.int32) % passes + first).astype(jnp.uint32)
+    pass_number = (jnp.arange(count, dtype=jnp.int32) % PLACES + first).astype(jnp.uint32)
     four = jnp.arange(PER_PLACE, dtype=jnp.uint32)
     number = (pass_number[:, None] * jnp.uint32(PER_PLACE) + four[None]).reshape(-1)
     more = jax.tree.map(lambda x: jnp.repeat(x, PER_PLACE, axis=0), points)
@@ -191,8 +195,6 @@ def _means(
     weight: Float[Array, "k"],
     light: PathLight,
     enclosed: Bool[Array, "k"] | None,
-    *,
-    passes: int,
 ) -> tuple[Array, ...]:
     """Means over the places of each texel that are not enclosed."""
     free = jnp.ones(direct[0].shape[0], bool)
@@ -200,16 +202,16 @@ def _means(
         free = ~(enclosed & (weight > 0)).reshape(-1, PER_PLACE).any(-1)
     each = weight[:, None] * (light.diffuse_weighted + light.reflected_weighted + light.refracted_weighted)
     each = each.reshape(-1, PER_PLACE, 3).mean(1)
-    share = free.astype(jnp.float32).reshape(-1, passes)
+    share = free.astype(jnp.float32).reshape(-1, PLACES)
 
     def halves(x: Float[Array, "n c"]) -> Float[Array, "2 t c"]:
-        """Means of the even passes and of the odd ones; of those there are, where one half sees nothing."""
-        x = jnp.where(free[:, None], x, 0).reshape(-1, passes, x.shape[-1])
+        """Means of the even places and of the odd ones; of those there are, where one half sees nothing."""
+        x = jnp.where(free[:, None], x, 0).reshape(-1, PLACES, x.shape[-1])
         sums = jnp.stack([x[:, i::2].sum(1) for i in range(2)])
         count = jnp.stack([share[:, i::2].sum(1) for i in range(2)])[..., None]
         both = sums.sum(0) / jnp.maximum(count.sum(0), 1)
         return jnp.where(count > 0, sums / jnp.maximum(count, 1), jnp.broadcast_to(both, sums.shape))
 
     seen = share.mean(-1)
-    whole = [x.reshape(-1, passes, 3).mean(1) for x in (points.p, points.ns)]
+    whole = [x.reshape(-1, PLACES, 3).mean(1) for x in (points.p, points.ns)]
     return (halves(direct[0] + direct[1].reshape(-1, PER_PLACE, 3).mean(1)), halves(each), seen, *whole)
