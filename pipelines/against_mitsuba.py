@@ -5,7 +5,7 @@ means is divided by its standard error. If the two agree, those scores follow St
 freedom come from the spread of the replicates ([Welch47]); how many lie beyond 3 is then known in advance.
 
 Source: [Welch47] Welch, "The generalization of Student's problem when several different population variances are
-involved", Biometrika 34, 1947; [SPBRT] Subr and Arvo, "Statistical Hypothesis Testing for Assessing Monte Carlo
+involved", Biometrika 34, 1947; [SA07] Subr and Arvo, "Statistical Hypothesis Testing for Assessing Monte Carlo
 Estimators", Pacific Graphics 2007.
 """
 
@@ -164,7 +164,9 @@ def render_theirs(
     Raises:
         ImportError: If the package `mitsuba` is not installed.
     """
-    import mitsuba as mi
+    import mitsuba
+
+    mi: Any = mitsuba
 
     before = mi.variant()
     mi.set_variant(variant)
@@ -206,8 +208,14 @@ def _load_for_comparison(mi: Any, file: Path, size: tuple[int, int], bounces: in
     with tempfile.TemporaryDirectory() as folder:
         changed = Path(folder) / "scene.xml"
         tree.write(changed)
-        mi.Thread.thread().file_resolver().prepend(str(file.resolve().parent))
-        return mi.load_file(str(changed))
+        resolver = mi.file_resolver()
+        own = mi.FileResolver(resolver)
+        own.prepend(str(file.resolve().parent))
+        mi.set_file_resolver(own)
+        try:
+            return mi.load_file(str(changed))
+        finally:
+            mi.set_file_resolver(resolver)
 
 
 def compare_with_mitsuba(

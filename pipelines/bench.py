@@ -24,8 +24,11 @@ from jaxrefl.rays import EmbreeTracer, camera_rays
 from jaxrefl.scene import assemble
 from jaxrefl.surface import look
 from pipelines.bench_energy import bench_energy
+from pipelines.bench_lightmap import bench_lightmap
 from pipelines.bench_main_job import run_main_job
+from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
 from pipelines.bench_path import bench_path
+from pipelines.bench_stability import bench_stability
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
@@ -211,19 +214,19 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder for bench.json and bench.md")
     parser.add_argument("--main-job", type=Path, help="instead: run the main job on real scenes into this folder")
     parser.add_argument("--path", action="store_true", help="instead: how the path tracer's error falls with samples")
+    parser.add_argument("--stability", action="store_true", help="instead: a scene scaled and moved, path traced")
+    parser.add_argument("--mitsuba", nargs="+", metavar="SCENE", help="instead: agreement with Mitsuba 3, and speed")
+    parser.add_argument("--lightmap", nargs="+", metavar="SCENE", help="instead: errors of light maps in these scenes")
     arguments = parser.parse_args(argv)
-    if arguments.main_job:
-        rows, commands = run_main_job(arguments.main_job)
-        _write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
-        return 0
-    if arguments.path:
-        few = ((16, 9), (4, 8), 64, ("cornell",)) if arguments.quick else ((32, 18), SPP, 4096, None)
-        rows = bench_path(*few[:3], names=few[3])
-        title = (
-            f"Slope of log RMSE against log samples, {few[0][0]} x {few[0][1]} pixels, reference of {few[2]} samples"
-        )
-        _write(arguments.out, "path_convergence", argv, {title: rows}, ["jaxrefl bench --path"])
-        return 0
+    for name, run in _OTHERS.items():
+        if getattr(arguments, name):
+            run(arguments, argv)
+            return 0
+    _speed(arguments, argv)
+    return 0
+
+
+def _speed(arguments: argparse.Namespace, argv: list[str]) -> None:
     sides, triangles = ((64, 128), (1_000, 10_000)) if arguments.quick else (SIDES, TRIANGLES)
 
     # Memory first: the peak of a child counts from the largest child there has been.
@@ -241,7 +244,52 @@ def main(argv: list[str]) -> int:
     _write(arguments.out, "bench", argv, sections, ["jaxrefl bench"])
     energy = bench_energy((96, 54), 4) if arguments.quick else bench_energy((960, 540), 32)
     _write(arguments.out, "energy", argv, {"The furnace: every mean should be 1": energy}, ["jaxrefl bench"])
-    return 0
+
+
+def _main_job(arguments: argparse.Namespace, argv: list[str]) -> None:
+    rows, commands = run_main_job(arguments.main_job)
+    _write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
+
+
+def _path(arguments: argparse.Namespace, argv: list[str]) -> None:
+    size, spp, long, names = ((16, 9), (4, 8), 64, ("cornell",)) if arguments.quick else ((32, 18), SPP, 4096, None)
+    rows = bench_path(size, spp, long, names=names)
+    title = f"Slope of log RMSE against log samples, {size[0]} x {size[1]} pixels, reference of {long} samples"
+    _write(arguments.out, "path_convergence", argv, {title: rows}, ["jaxrefl bench --path"])
+
+
+def _stability(arguments: argparse.Namespace, argv: list[str]) -> None:
+    size, samples = ((16, 16), 2) if arguments.quick else ((128, 128), 64)
+    rows = bench_stability("cornell", size, samples)
+    title = f"`cornell`, {size[0]} x {size[1]} pixels, {samples} samples: difference from the scene as it is"
+    _write(arguments.out, "path_stability", argv, {title: rows}, ["jaxrefl bench --stability"])
+
+
+def _lightmap(arguments: argparse.Namespace, argv: list[str]) -> None:
+    size, samples = ((32, 18), 16) if arguments.quick else ((160, 90), 1024)
+    tries = ((1024, 8),) if arguments.quick else ((2**14, 32), (2**16, 32), (2**18, 32))
+    rows = list(bench_lightmap(arguments.lightmap, size, samples, tries))
+    title = f"Baked against {samples} paths per pixel"
+    _write(arguments.out, "lightmap", argv, {title: rows}, ["jaxrefl bench --lightmap SCENE ..."])
+
+
+def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
+    size, samples = ((32, 24), 2) if arguments.quick else ((256, 256), 16)
+    pictures = None if arguments.quick else arguments.out
+    variants = ("scalar_rgb",) if arguments.quick else ("scalar_rgb", "llvm_ad_rgb")
+    rows = list(bench_mitsuba(arguments.mitsuba, size, samples, pictures, variants=variants))
+    title = f"Up to {size[0]} x {size[1]} pixels, 8 replicates of {samples} samples, up to {BOUNCES} bounces"
+    _write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
+
+
+_OTHERS = {
+    "main_job": _main_job,
+    "path": _path,
+    "stability": _stability,
+    "lightmap": _lightmap,
+    "mitsuba": _mitsuba,
+}
+"""Benchmarks that a flag asks for, in place of those of speed."""
 
 
 def _write(out: Path, name: str, argv: list[str], sections: dict[str, list[dict]], commands: list[str]) -> None:

@@ -32,7 +32,7 @@ class PathOptions:
     """"sobol" (Owen-scrambled, low discrepancy) or "independent" (random) numbers."""
     scattering: Scattering = Scattering()
     """Which model of rough surfaces."""
-    block: int = 32768
+    block: int = 65536
     """Paths that are followed at the same time, twice: while one block is shaded the other's rays are cast."""
 
     def __post_init__(self):

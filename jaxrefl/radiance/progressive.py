@@ -39,6 +39,8 @@ REPLICATES = 8
 """Independent estimates of the image, R."""
 MOST_AT_ONCE = 64
 """Samples per pixel that are traced at once at the most."""
+_BLOCKS_PER_PASS = 16
+"""Rays per pass, in blocks: the last paths of a pass leave blocks half empty, so a pass should fill several."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +174,7 @@ def samples_per_pass(camera: Camera, options: ProgressiveOptions) -> int:
     Returns:
         A power of two from 1 to `MOST_AT_ONCE`.
     """
-    room = max(2 * options.path.block // (camera.width * camera.height), 1)
+    room = max(_BLOCKS_PER_PASS * options.path.block // (camera.width * camera.height), 1)
     return min(MOST_AT_ONCE, 1 << (room.bit_length() - 1))
 
 

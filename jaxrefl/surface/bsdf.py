@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer
 from jaxrefl.core import (
-    cosine_hemisphere,
+    disk,
     dot,
     lerp,
     luminance,
@@ -37,7 +37,7 @@ from jaxrefl.core import (
     to_local,
     to_world,
 )
-from jaxrefl.core.safe import divide, normalise
+from jaxrefl.core.safe import divide, normalise, sqrt
 from jaxrefl.surface.coupling import coupling, single_scattering_loss
 from jaxrefl.surface.rough_interface import transmittance_once
 from jaxrefl.surface.specular import (
@@ -207,7 +207,7 @@ class Draws(eqx.Module):
     """Random directions, before a lobe is chosen."""
 
     diffuse: Float[Array, "n 3"]
-    """Unit direction from the cosine lobe, world space."""
+    """Unit direction from the cosine lobe, local."""
     h: Float[Array, "n 3"]
     """Unit normal of a visible microfacet, local."""
 
@@ -222,7 +222,10 @@ def draw_directions(points: GBuffer, lobes: Lobes, u: Float[Array, "n 2"]) -> Dr
     Returns:
         The directions.
     """
-    return Draws(cosine_hemisphere(u, points.ns), sample_visible_normal(lobes.wo, points.alpha, u))
+    point = disk(u)
+    x, y = point[:, 0], point[:, 1]
+    cosine = jnp.stack([x, y, sqrt(1 - x * x - y * y)], -1)
+    return Draws(cosine, sample_visible_normal(lobes.wo, points.alpha, u))
 
 
 def scatter(
@@ -248,8 +251,8 @@ def scatter(
         that microfacets mask have the weight 0.
     """
     is_diffuse = choice[:, 0] < lobes.p_diffuse
-    wd, h = draws.diffuse, draws.h
-    cos_d = dot(points.ns, wd)
+    wd, h = to_world(draws.diffuse, points.ns), draws.h
+    cos_d = draws.diffuse[:, 2]
     lit = jnp.where(dot(points.n, wd) > 0, coupling(points, cos_d, single=not model.multiple_scattering), 0)
 
     cos_h = dot(lobes.wo, h)
@@ -274,7 +277,7 @@ def scatter(
         one * divide(masked, chosen)[:, None],
     )
     factor = jnp.where(pick, 1 - lobes.specular, fresnel)
-    density = jnp.where(is_diffuse, lobes.p_diffuse * jnp.maximum(cos_d, 0) / jnp.pi, density)
+    density = jnp.where(is_diffuse, lobes.p_diffuse * cos_d / jnp.pi, density)
     lobe = jnp.where(is_diffuse, DIFFUSE, REFLECTED)
     eta_scale = jnp.ones_like(cos_d)
     if lobes.refracted is not None and thin is not None:
