@@ -22,21 +22,9 @@ from jaxtyping import Array, Float, UInt32
 from jaxrefl._types import Camera, Rays, Scene, Tracer
 from jaxrefl.core import owen_sobol, pixel_sequences, uniform
 from jaxrefl.radiance.light_points import area_density
-from jaxrefl.radiance.path_step import (
-    aim,
-    albedo_at,
-    answer,
-    arrive,
-    choose,
-    draw,
-    gather,
-    go_on,
-    light_kinds,
-    look_for_light,
-    numbers,
-    pick_lamps,
-    start,
-)
+from jaxrefl.radiance.path_light import aim, answer, light_kinds, look_for_light, pick_lamps
+from jaxrefl.radiance.path_step import albedo_at, arrive, choose, draw, go_on, numbers, start
+from jaxrefl.radiance.path_sums import gather
 from jaxrefl.radiance.path_types import CHANNELS, Batch, PathLight, PathOptions, Paths, Shadows, empty_shadows
 from jaxrefl.rays.blocks import block_size
 from jaxrefl.rays.camera_rays import camera_rays

@@ -14,6 +14,11 @@ from jaxrefl.surface.bsdf import Lobes, Scattering
 EMITTED, DIFFUSE, REFLECTED, REFRACTED = 0, 1, 2, 3
 """Layers: light that reaches the first surface's viewer by emission (or from the background), or by the lobe that sends
 it there. The lobes of `surface.bsdf` are one less."""
+PAIRS = 4
+"""Pairs of random numbers per vertex; pair 0 of a sequence is left to whoever makes the rays."""
+LIGHT, DIRECTION, LOBE, ROULETTE = range(PAIRS)
+"""What each pair of a vertex decides: the place on a light; the direction; the lobe, and reflection or refraction; the
+roulette, and the kind of light."""
 CHANNELS = 7
 """Sums per ray with layers: the four layers, then the last three of them again with their weight."""
 
@@ -164,3 +169,34 @@ def empty_shadows(count: int) -> Shadows:
     up = jnp.broadcast_to(jnp.array([0, 0, 1], jnp.float32), (count, 3))
     none = jnp.zeros((count,), jnp.int32)
     return Shadows(Rays(vector, up), zero, nobody, (none, none), (vector, vector), (vector, vector))
+
+
+def pair_of(random: Float[Array, "8 n"], pair: int) -> Float[Array, "n 2"]:
+    """One pair of the random numbers of a vertex.
+
+    Args:
+        random: Numbers of the vertex.
+        pair: LIGHT, DIRECTION, LOBE or ROULETTE.
+    Returns:
+        The pair.
+    """
+    return jnp.stack([random[2 * pair], random[2 * pair + 1]], -1)
+
+
+def own_layer(
+    paths: Paths, layer: int, light: Float[Array, "n 3"], factor: Float[Array, "n 3"]
+) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Where what a lobe scatters belongs: at the first surface to the lobe's own layer, later to that of the path.
+
+    Args:
+        paths: The paths.
+        layer: The lobe's layer.
+        light: Light before the lobe's weight.
+        factor: The lobe's weight, as `composite` applies it.
+    Returns:
+        Layers, light, and the first surface's weight.
+    """
+    first = paths.layer == EMITTED
+    own = first[:, None]
+    layers = jnp.where(first, jnp.full_like(paths.layer, layer), paths.layer)
+    return layers, jnp.where(own, light, light * factor), jnp.where(own, factor, paths.factor)
