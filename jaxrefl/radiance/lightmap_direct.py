@@ -11,7 +11,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 
 from jaxrefl._types import GBuffer, Hits, Rays, Scene, Tracer
 from jaxrefl.core import dot, owen_sobol, safe
@@ -29,6 +29,9 @@ from jaxrefl.rays.offset import offset_origin
 from jaxrefl.surface.coupling import coupling
 from jaxrefl.surface.gbuffer import build_gbuffer
 
+LAMP_SAMPLES = 8
+"""Light samples of emissive triangles per path: a shadow ray is much cheaper than a path, and direct light has the
+finest detail, of which smoothing must take nothing away."""
 _PAIR = 2**20
 """Pair of random numbers of the light samples, far from those of any path."""
 
@@ -92,9 +95,13 @@ def lamp_light(
     """
     if scene.lights.area is None:
         return jnp.zeros_like(points.p)
-    shadow, t_max, brought = _towards_lamps(scene, points, *numbers)
-    blocked = tracer.occluded(shadow, t_max)
-    return _both(scene, points, rays, weight, hits, (brought, blocked))
+    light = _met_lamps(scene, points, rays, weight, hits)
+    sequence, number = numbers
+    for sample in range(LAMP_SAMPLES):
+        own = number * jnp.uint32(LAMP_SAMPLES) + jnp.uint32(sample)
+        shadow, t_max, brought = _towards_lamps(scene, points, sequence, own)
+        light = _add_free(light, brought, tracer.occluded(shadow, t_max))
+    return light
 
 
 @jax.jit
@@ -107,8 +114,8 @@ def _towards_lamps(
     u = jnp.stack(owen_sobol(sequence, number, jnp.full_like(number, _PAIR)), -1)
     light = area_light_point(emissive_point(scene, scene.lights.area, u), points.p)
     cos = jnp.where(dot(points.n, light.wi) > 0, jnp.maximum(dot(points.ns, light.wi), 0), 0) / jnp.pi
-    # d / (d + c) times 1 / d, with the density d of light samples and that of the rays, c.
-    share = safe.divide(light.inverse_density, 1 + cos * light.inverse_density) * cos
+    # 1 / (n d + c), with the density d of each of n light samples and that of the ray, c.
+    share = safe.divide(light.inverse_density, LAMP_SAMPLES + cos * light.inverse_density) * cos
     brought = light.radiance * (share * coupling(points, jnp.pi * cos))[:, None]
     origin = offset_origin(points.p, points.n, points.p_error, light.wi)
     way = light.end - origin
@@ -117,16 +124,20 @@ def _towards_lamps(
 
 
 @jax.jit
-def _both(
-    scene: Scene, points: GBuffer, rays: Rays, weight: Float[Array, "k"], hits: Hits, samples: tuple[Array, Array]
+def _add_free(
+    light: Float[Array, "k 3"], brought: Float[Array, "k 3"], blocked: Bool[Array, "k"]
 ) -> Float[Array, "k 3"]:
-    """Light samples that nothing blocks, and the lamps that the rays meet."""
-    brought, blocked = samples
+    return light + jnp.where(blocked[:, None], 0, brought)
+
+
+@jax.jit
+def _met_lamps(scene: Scene, points: GBuffer, rays: Rays, weight: Float[Array, "k"], hits: Hits) -> Float[Array, "k 3"]:
+    """Emission of the lamps that the rays meet by themselves."""
     seen = build_gbuffer(scene, rays, hits)
     if scene.lights.area is None or seen.emission is None:
-        return jnp.where(blocked[:, None], 0, brought)
+        return jnp.zeros_like(points.p)
     density = jnp.maximum(dot(points.ns, rays.direction), 0) / jnp.pi
     per_area = area_density(scene.lights.area, scene.mesh.faces.shape[0])
     found = density_of_hit(per_area, seen.triangle, seen.t, jnp.abs(dot(seen.n, rays.direction)))
-    share = safe.divide(density, density + found)
-    return jnp.where(blocked[:, None], 0, brought) + seen.emission * (weight * share)[:, None]
+    share = safe.divide(density, density + LAMP_SAMPLES * found)
+    return seen.emission * (weight * share)[:, None]
