@@ -16,6 +16,9 @@ STAGES = {
     "emissive": "shadow rays to area lights, and emission at hits",
     "punctual": "shadow rays to points, spots and the sun",
     "environment_lit": "shadow rays to the environment, and its light along rays that leave the scene",
+    "conductive": "metals take the exact Fresnel term of their complex index",
+    "coupled": "diffuse light passes the interface twice: albedos are converted, the path tracer weighs directions",
+    "cut_out": "path traced light passes through; the surfaces that images see first are taken as opaque",
     "moving": "motion vectors of objects",
 }
 """What each feature switches on."""
@@ -33,6 +36,6 @@ def format_switches(scene: Scene) -> str:
     lines = ["stages switched on"]
     for name in (field.name for field in dataclasses.fields(Features)):
         if getattr(scene.features, name):
-            lines.append(f"  {name}: {STAGES.get(name, name)}")
+            lines.append(f"  {name}: {STAGES[name]}")
             lines.append(f"      because of {reasons.get(name, 'the scene')}")
     return "\n".join(lines)

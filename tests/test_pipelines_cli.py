@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from jaxrefl._types import Features
 from jaxrefl.techniques import TECHNIQUES
 from pipelines import cli
 from pipelines.flags import CompareBase, RenderBase, knob_groups
 from pipelines.flags_to_job import job_of, key_values, parse
 from pipelines.folder import locked
 from pipelines.job import Job, Keyframe, Reference, read_job
+from pipelines.switches import STAGES
 from pipelines.toml_tables import JobError
 from scenes import BUILT_IN
 
@@ -258,3 +260,7 @@ def test_a_job_file_alone_is_enough(here: Path):
     Path("JOB.toml").write_text('scene = "cornell"\nsize = [16, 9]\nframes = 1\n')
     assert cli.main(["render", "--job", "JOB.toml"]) == 0
     assert Path("results/JOB/report.html").exists()
+
+
+def test_every_feature_says_what_it_switches_on():
+    assert set(STAGES) == {field.name for field in dataclasses.fields(Features)}

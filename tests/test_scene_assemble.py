@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from scene_files import checker
+from shapes import floor
 
 from jaxrefl.scene import (
     Description,
@@ -213,3 +214,10 @@ def with_array(name: str, value) -> Part:
 def test_bad_descriptions_are_refused_by_name(parts: list[Part], says: str):
     with pytest.raises(SceneError, match=says):
         assemble(Description("broken", parts))
+
+
+def test_a_cut_out_is_noted_since_images_see_it_as_opaque():
+    leaf = matte("leaf", (0.1, 0.5, 0.1)).replace(opacity=0.5)
+    scene = assemble(Description("leaf", [floor("leaf", leaf)]))
+    assert scene.features.cut_out
+    assert any("opaque: leaf" in note for note in scene.names.notes)
