@@ -38,7 +38,8 @@ def assemble(description: Description) -> Scene:
     table, material_rows = distinct_materials([part.material for part in parts])
     materials, images = material_table(table)
     if see_through := [m.name for m in table if m.opacity < 1 or m.opacity_texture is not None]:
-        notes.append(f"cut-outs let path traced light through alone; images see them as opaque: {', '.join(see_through)}")
+        names = ", ".join(see_through)
+        notes.append(f"cut-outs let path traced light through alone; images see them as opaque: {names}")
     objects = list(dict.fromkeys(part.name for part in parts))
     object_rows = [objects.index(part.name) for part in parts]
     mesh = _as_mesh(merge(parts, material_rows, object_rows, notes, textured=bool(images)))
