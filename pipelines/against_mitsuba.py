@@ -186,7 +186,7 @@ def render_theirs(
 
 
 def _load_for_comparison(mi: Any, file: Path, size: tuple[int, int], bounces: int) -> Any:
-    """The scene with the film, filter and depth of the comparison in place of its own."""
+    """The scene with the film, filter, depth and microfacets (GGX, as they are read here) of the comparison."""
     tree = ET.parse(file)
     root = tree.getroot()
     for old in root.findall("integrator"):
@@ -199,6 +199,11 @@ def _load_for_comparison(mi: Any, file: Path, size: tuple[int, int], bounces: in
     )
     integrator = ET.SubElement(root, "integrator", type="path")
     ET.SubElement(integrator, "integer", name=names[0], value=str(bounces + 1))
+    for surface in root.iter("bsdf"):
+        if surface.get("type", "").startswith("rough"):
+            for old in [x for x in surface.findall("string") if x.get("name") == "distribution"]:
+                surface.remove(old)
+            ET.SubElement(surface, "string", name="distribution", value="ggx")
     for sensor in root.findall("sensor"):
         for film in sensor.findall("film"):
             sensor.remove(film)

@@ -4,6 +4,7 @@ Built-in scenes are exported first; scene files are read by both as they are. Di
 `docs/pages/mitsuba.md`.
 """
 
+import math
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -79,8 +80,11 @@ def _scene(name: str, folder: Path, size: tuple[int, int]) -> tuple[Path, Scene,
         file = export_mitsuba(made, folder / Path(name).stem, camera=camera)
     scene = load(file)
     own = scene.cameras[0]
-    share = min(size[0] / own.width, size[1] / own.height)
-    return file, scene, resize(own, (round(own.width * share), round(own.height * share)))
+    # Exactly the scene's proportions: where they change, Mitsuba keeps the horizontal field of view, we the vertical.
+    unit = math.gcd(own.width, own.height)
+    ratio = own.width // unit, own.height // unit
+    times = max(1, min(size[0] // ratio[0], size[1] // ratio[1]))
+    return file, scene, resize(own, (ratio[0] * times, ratio[1] * times))
 
 
 def _framed(scene: Scene, size: tuple[int, int]) -> Camera:
