@@ -82,7 +82,7 @@ def agreement(ours: np.ndarray, theirs: np.ndarray, *, block: int) -> Agreement:
     safe = np.where(known, total, 1)
     scores = np.where(known, (mean[0] - mean[1]) / np.sqrt(safe), np.nan)
     spread = sum(v**2 / (n - 1) for v, n in zip(variance, counts, strict=True))
-    freedom = safe**2 / np.where(known, spread, 1)
+    freedom = np.where(spread > 0, safe**2 / np.where(spread > 0, spread, 1), np.inf)
     tails = 2 * student.sf(3, freedom)
     means = [np.asarray(x, np.float64).mean((1, 2)) for x in (ours, theirs)]
     error = np.sqrt(sum(x.var(0, ddof=1) / len(x) for x in means)) / means[1].mean(0)

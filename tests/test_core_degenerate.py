@@ -46,7 +46,15 @@ def every(*values: tuple) -> tuple[Array, ...]:
     return tuple(jnp.asarray(column, jnp.float32) for column in columns)
 
 
+WORDS = jnp.asarray([0, 1, 2**16, 2**31, 2**32 - 1], jnp.uint32)
+
 CASES = {
+    "sequences.hash_words": (WORDS, WORDS),
+    "sequences.owen_sobol": (WORDS, WORDS, WORDS),
+    "sequences.pixel_sequences": (jnp.uint32(0), jnp.asarray([0, 1, 2**31 - 1], jnp.int32)),
+    "sequences.reverse_bits": (WORDS,),
+    "sequences.seed_of": (jax.random.key(0),),
+    "sequences.uniform": (WORDS, WORDS, WORDS),
     "safe.divide": every(NUMBERS, NUMBERS),
     "safe.sqrt": every(NUMBERS),
     "safe.arccos": every((*COSINES, 2.0)),
@@ -54,6 +62,7 @@ CASES = {
     "safe.normalise": every(VECTORS),
     "vectors.dot": every(VECTORS, VECTORS),
     "vectors.cross": every(VECTORS, VECTORS),
+    "vectors.largest": every(VECTORS),
     "vectors.lerp": every(VECTORS, VECTORS, SHARES),
     "frames.frame_from_normal": every((*VECTORS, *UNITS)),
     "frames.to_world": every(VECTORS, UNITS),

@@ -87,6 +87,7 @@ def test_a_floor_under_a_lamp_has_the_light_of_the_closed_form(smoothing: bool):
     assert np.abs(error).max() < 0.003  # 0.0013 measured, smoothed; 0.0005 as baked
 
 
+@pytest.mark.slow
 def test_area_light_close_to_a_wall_is_not_noisy():
     """A square lamp just above the floor, against the same light from a quadrature of 512^2 points of the lamp."""
     height, half = 0.1, 0.5
@@ -103,6 +104,7 @@ def test_area_light_close_to_a_wall_is_not_noisy():
     assert np.sqrt((error**2).mean()) / expected.mean() < 0.05  # 0.026 measured
 
 
+@pytest.mark.slow
 def test_light_is_continuous_across_seams():
     """A ball under a point light: many charts, one smooth function of the normal."""
     sun = PunctualLight("sun", (np.pi,) * 3, direction=(0.0, -1.0, 0.0), directional=True)
@@ -123,6 +125,7 @@ def test_both_sides_of_a_thin_wall_have_their_own_light():
     assert (below[np.asarray(down.valid)] == 0).all() and np.asarray(down.valid).any()
 
 
+@pytest.mark.slow
 def test_a_room_seen_from_inside_is_baked_inside():
     """The furnace: a closed white box that contains a lamp and loses nothing but what its walls take."""
     lamp = box("lamp", emitter("glow", (1.0, 1.0, 1.0)), centre=(0, 0, 0), size=0.5)

@@ -37,6 +37,7 @@ from .sampling import triangle as triangle
 from .sequences import hash_words as hash_words
 from .sequences import owen_sobol as owen_sobol
 from .sequences import pixel_sequences as pixel_sequences
+from .sequences import reverse_bits as reverse_bits
 from .sequences import seed_of as seed_of
 from .sequences import uniform as uniform
 from .shapes import intersect_plane as intersect_plane
