@@ -52,7 +52,7 @@ def bench_stability(name: str, size: tuple[int, int], samples: int) -> list[dict
         rows.append(
             {
                 "scene": label,
-                "mean, %": 100 * (found.mean() / truth.mean() - 1),
+                "mean, %": float(100 * (found.mean() / truth.mean() - 1)),
                 "typical pixel, %": float(np.median(off)),
                 "99th percentile, %": float(np.quantile(off, 0.99)),
             }
