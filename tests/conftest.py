@@ -4,8 +4,13 @@ The import hook must be installed before `jaxrefl` is imported, so it stands at 
 """
 
 import os
+import pathlib
 
-from jaxtyping import install_import_hook
+# What one process has compiled the others need not compile again: pytest's workers, and the commands that tests run.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+
+from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook(["jaxrefl", "scenes"], "typechecker.check")
 

@@ -83,6 +83,7 @@ CASES = {
     "ggx.sample_visible_normal": every(UNITS, ALPHAS, SQUARE),
     "ggx.visible_normal_pdf": every(UNITS, UNITS, ALPHAS),
     "ggx.reflection_pdf": every(UNITS, UNITS, ALPHAS),
+    "apart.apart": (jnp.ones(3, bool), core.safe.sqrt, *every(SHARES)),
     "albedo.ggx_albedo": every(COSINES, ALPHAS),
     "albedo.lobe_fresnel_cosine": every(COSINES, ALPHAS),
     "sampling.stratified": (jax.random.key(0), 1),

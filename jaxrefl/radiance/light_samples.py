@@ -18,7 +18,7 @@ from jaxrefl._types import AreaLights, Environment, GBuffer, Lights, PunctualLig
 from jaxrefl.core import cosine_hemisphere, dot, safe, stratified
 from jaxrefl.radiance.light_points import FAR, area_light_point, emissive_point, punctual_light_point
 from jaxrefl.rays.offset import offset_origin
-from jaxrefl.scene.environment import environment_pdf, environment_radiance, sample_environment
+from jaxrefl.scene.environment import environment_light, environment_radiance, sample_environment
 
 COSINE_SHARE = 0.5
 """Share of the environment's samples that are drawn from the cosine lobe instead of the map.
@@ -201,7 +201,7 @@ def _constant_sky(environment: Environment, receivers: Receivers, u: Float[Array
 def _lobe(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"], share: float) -> LightPoints:
     """A direction from the cosine lobe, where `share` of all samples come from."""
     wi = cosine_hemisphere(u, receivers.ns)
-    return _weighed(receivers, wi, environment_radiance(environment, wi), environment_pdf(environment, wi), share)
+    return _weighed(receivers, wi, *environment_light(environment, wi), share)
 
 
 def _map(environment: Environment, receivers: Receivers, u: Float[Array, "n 2"], share: float) -> LightPoints:
@@ -217,7 +217,7 @@ def _lobe_or_map(environment: Environment, receivers: Receivers, u: Float[Array,
     u = jnp.stack([x, u[:, 1]], -1)
     from_map, _, _ = sample_environment(environment, u)
     wi = jnp.where(from_lobe[:, None], cosine_hemisphere(u, receivers.ns), from_map)
-    radiance, density = environment_radiance(environment, wi), environment_pdf(environment, wi)
+    radiance, density = environment_light(environment, wi)
     return _weighed(receivers, wi, radiance, density, COSINE_SHARE)
 
 

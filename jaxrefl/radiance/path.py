@@ -4,7 +4,8 @@ $$ L_o(\omega_o) = L_e + \int f(\omega_o, \omega_i)\,L_i(\omega_i) \cos\theta_i\
 
 is estimated by paths from the viewer with a light sample at each vertex, combined with the paths' own hits by the
 balance heuristic. The host casts rays while the device shades: two blocks of paths take turns. A path that ends leaves
-its slot to the next ray, so that blocks stay full and no shape changes from bounce to bounce. What a path draws depends
+its slot to the next ray, so that blocks stay full and no shape changes from bounce to bounce; the last paths of a batch
+move into a smaller block. What a path draws depends
 on its ray and its depth alone, and each ray has sums of its own, so that results are the same bit for bit whatever the
 block's size.
 
@@ -23,12 +24,17 @@ from jaxrefl._types import Camera, Rays, Scene, Tracer
 from jaxrefl.core import owen_sobol, pixel_sequences, uniform
 from jaxrefl.radiance.light_points import area_density
 from jaxrefl.radiance.path_light import aim, answer, light_kinds, look_for_light, pick_lamps
-from jaxrefl.radiance.path_step import albedo_at, arrive, choose, draw, go_on, numbers, start
+from jaxrefl.radiance.path_step import albedo_at, arrive, choose, drain, draw, go_on, numbers, start
 from jaxrefl.radiance.path_sums import gather
 from jaxrefl.radiance.path_types import CHANNELS, Batch, PathLight, PathOptions, Paths, Shadows, empty_shadows
 from jaxrefl.rays.blocks import block_size
 from jaxrefl.rays.camera_rays import camera_rays
 from jaxrefl.surface.gbuffer import build_gbuffer
+
+_DRAIN = 8
+"""Once the batch has no more rays, a block of which less than this part is in use goes on as one of that size."""
+_LEAST = 2048
+"""Smallest block that is worth compiling for that."""
 
 
 def path_radiance(
@@ -147,9 +153,13 @@ class _Block:
         """Cast this block's rays and start the device on what they hit; False once nothing is left to do."""
         if not self.live:
             return False
-        self.live = bool((np.asarray(self.paths.job) >= 0).any() or (np.asarray(self.shadows.t_max) > 0).any())
+        used = (np.asarray(self.paths.job) >= 0) | (np.asarray(self.shadows.t_max) > 0)
+        self.live = bool(used.any())
         if not self.live:
             return False
+        fewer = used.size // _DRAIN
+        if fewer >= _LEAST and used.sum() <= fewer and self.paths.next_job >= self.batch.sequence.shape[0]:
+            self.paths, self.shadows = drain(self.paths, self.shadows, jnp.asarray(used), count=fewer)
         blocked = self.tracer.occluded(self.shadows.rays, self.shadows.t_max)
         hits = self.tracer.closest(self.paths.rays, active=self.paths.job >= 0)
         scene, paths, options = self.scene, self.paths, self.options

@@ -5,6 +5,7 @@ again for each of them. All have the block's shape, so nothing is compiled again
 has ended are refilled from the batch instead of being carried along.
 """
 
+import dataclasses
 import functools
 
 import jax
@@ -22,6 +23,7 @@ from jaxrefl.radiance.path_types import (
     Batch,
     PathOptions,
     Paths,
+    Shadows,
     Vertex,
     pair_of,
 )
@@ -81,6 +83,26 @@ def _refill(batch: Batch, paths: Paths, alive: Bool[Array, "n"]) -> Paths:
         number=jnp.where(fresh, batch.number[row], paths.number),
         next_job=paths.next_job + fresh.sum(dtype=jnp.int32),
     )
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def drain(paths: Paths, shadows: Shadows, used: Bool[Array, "n"], *, count: int) -> tuple[Paths, Shadows]:
+    """What is still under way, in a smaller block.
+
+    Args:
+        paths: The paths.
+        shadows: The light samples.
+        used: Which slots have one of either; at most `count`.
+        count: Slots of the smaller block.
+    Returns:
+        Paths and light samples [count]; slots beyond those that were used are empty.
+    """
+    slot = jnp.nonzero(used, size=count, fill_value=-1)[0]
+    there = slot >= 0
+    paths, shadows = jax.tree.map(lambda x: x[jnp.maximum(slot, 0)] if x.ndim else x, (paths, shadows))
+    paths = dataclasses.replace(paths, job=jnp.where(there, paths.job, -1))
+    shadows = dataclasses.replace(shadows, t_max=jnp.where(there, shadows.t_max, 0))
+    return paths, shadows
 
 
 @functools.partial(jax.jit, static_argnames="options")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Lights, Scene
-from jaxrefl.core import dot, largest, safe
+from jaxrefl.core import apart, dot, largest, safe
 from jaxrefl.radiance.light_points import (
     density_of_hit,
 )
@@ -21,7 +21,7 @@ from jaxrefl.radiance.path_types import (
     Vertex,
     own_layer,
 )
-from jaxrefl.scene.environment import environment_pdf, environment_radiance
+from jaxrefl.scene.environment import environment_light, environment_radiance
 
 
 @functools.partial(jax.jit, static_argnames=("kinds", "ambient", "layered"), donate_argnames="sums")
@@ -68,7 +68,8 @@ def gather(
         seen = points.emission * _by_chance(paths.density, found)[:, None]
     seen = jnp.where(vertex.stays[:, None], seen, 0)
     escaped = (paths.job >= 0) & ~points.valid
-    seen = jnp.where(escaped[:, None], _sky(scene.lights, paths, kinds, ambient), seen)
+    sky = apart(escaped, functools.partial(_sky, kinds=kinds, ambient=ambient), scene.lights, paths)
+    seen = jnp.where(escaped[:, None], sky, seen)
     rows.append(_rows(paths.job, paths.layer, vertex.throughput * seen, paths.factor, layered))
     if ambient:
         light = vertex.throughput * vertex.lobes.diffuse * jnp.broadcast_to(scene.lights.ambient, points.p.shape)
@@ -96,14 +97,15 @@ def _by_chance(density: Float[Array, "n"], light_density: Float[Array, "n"]) -> 
     return jnp.where(density > 0, safe.divide(density, density + light_density, fill=1.0), 1)
 
 
-def _sky(lights: Lights, paths: Paths, kinds: tuple[str, ...], ambient: bool) -> Float[Array, "n 3"]:
+def _sky(lights: Lights, paths: Paths, *, kinds: tuple[str, ...], ambient: bool) -> Float[Array, "n 3"]:
     """What paths see that leave the scene."""
     seen = jnp.zeros_like(paths.throughput)
     if (environment := lights.environment) is not None:
-        seen = environment_radiance(environment, paths.rays.direction)
         if "environment" in kinds:
-            found = environment_pdf(environment, paths.rays.direction) / len(kinds)
-            seen = seen * _by_chance(paths.density, found)[:, None]
+            seen, found = environment_light(environment, paths.rays.direction)
+            seen = seen * _by_chance(paths.density, found / len(kinds))[:, None]
+        else:
+            seen = environment_radiance(environment, paths.rays.direction)
     if ambient:
         # Diffuse lobes have had their ambient light at the surface, without shadows; only mirrors still look for it.
         specular = (paths.density == 0) | (paths.layer == REFLECTED)

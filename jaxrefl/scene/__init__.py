@@ -14,6 +14,7 @@ from .description import glossy as glossy
 from .description import matte as matte
 from .description import mirror as mirror
 from .environment import build_environment as build_environment
+from .environment import environment_light as environment_light
 from .environment import environment_pdf as environment_pdf
 from .environment import environment_radiance as environment_radiance
 from .environment import sample_environment as sample_environment

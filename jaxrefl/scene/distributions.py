@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrefl.core import apart
+
 QUANTA = 2**23
 """Number of steps that the cumulative probability takes from 0 to 1."""
 _BELOW_ONE = 1 - 2.0**-24
@@ -73,9 +75,12 @@ def invert_cdf(
 
     first = jnp.zeros_like(start)
     index, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (first, first + (count - 1)))
-    # Without the barriers XLA computes what precedes a gather again for each of its consumers: twice the time.
-    index = jax.lax.optimization_barrier(index)
+    return index, apart(index >= 0, _left_over, cdf, start, index, u)
+
+
+def _left_over(
+    cdf: Float[Array, "n"], start: Int[Array, "*b"], index: Int[Array, "*b"], u: Float[Array, "*b"]
+) -> Float[Array, "*b"]:
     below = jnp.where(index > 0, cdf[start + jnp.maximum(index - 1, 0)], 0)
     width = cdf[start + index] - below
-    rest = jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)
-    return index, jax.lax.optimization_barrier(rest)
+    return jnp.clip((u - below) / jnp.where(width > 0, width, 1), 0, _BELOW_ONE)

@@ -17,6 +17,7 @@ Sources: [WMLT07] §5.2; [Turquin19] for b; `surface.coupling` for c.
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import GBuffer
 from jaxrefl.core import (
+    apart,
     disk,
     dot,
     lerp,
@@ -136,21 +138,23 @@ def lobes_of(points: GBuffer, albedo: LobeAlbedo, model: Scattering) -> Lobes:
     wo = to_local(points.wo, points.ns)
     wo = jnp.stack([wo[:, 0], wo[:, 1], jnp.maximum(wo[:, 2], 1e-4)], -1)
     wo = normalise(wo)
-    specular = weight_of_albedo(points, albedo, multiple_scattering=model.multiple_scattering)
+    seen = points.valid
+    weigh = functools.partial(weight_of_albedo, multiple_scattering=model.multiple_scattering)
+    specular = apart(seen, weigh, points, albedo)
     single = jnp.maximum(albedo.scale + albedo.bias, 1e-3)
     boost = jnp.broadcast_to(single[:, None], specular.shape)
     if model.multiple_scattering:
-        boost = boost * (1 + specular_colour(points) * (1 / single - 1)[:, None])
+        boost = boost * (1 + apart(seen, specular_colour, points) * (1 / single - 1)[:, None])
     rest = 1 - specular
-    diffuse = diffuse_albedo(points)
+    diffuse = apart(seen, diffuse_albedo, points)
     if points.coupled is not None and not model.multiple_scattering:
-        diffuse = diffuse * single_scattering_loss(points, wo[:, 2])
+        diffuse = diffuse * apart(points.coupled, single_scattering_loss, points, wo[:, 2], fill=1.0)
     refracted, into = None, 0.0
     if points.transmission is not None:
         share = points.transmission * (1 - points.metallic)
         refracted = points.base_colour * share[:, None]
         if model.multiple_scattering:
-            refracted = refracted * _refraction_boost(points, wo[:, 2], rest)[:, None]
+            refracted = refracted * apart(share > 0, _refraction_boost, points, wo[:, 2], rest, fill=1.0)[:, None]
         into = luminance(rest * points.base_colour) * share
     upper, lower = luminance(specular) + into, luminance(diffuse * rest)
     # Neither lobe below a tenth while it is there at all: what the luminance misses in one channel stays bounded.
@@ -186,11 +190,11 @@ def respond(points: GBuffer, lobes: Lobes, wi: Float[Array, "n 3"], model: Scatt
     above = points.valid & (cos_i > 0) & (dot(points.n, wi) > 0)
     density = jnp.where(above, jnp.maximum(cos_i, 0) / jnp.pi, 0)
     single = not model.multiple_scattering
-    diffuse = lobes.diffuse * (density * coupling(points, cos_i, single=single))[:, None]
+    diffuse = lobes.diffuse * (density * _coupling(points, cos_i, single))[:, None]
 
     h = normalise(lobes.wo + local, fill=(0, 0, 1))
     cos_h = dot(lobes.wo, h)
-    fresnel = _fresnel(points, cos_h) * lobes.boost
+    fresnel = apart(points.valid, _fresnel, points, cos_h) * lobes.boost
     glossy = jnp.where(above & reflective(points), reflection_pdf(lobes.wo, local, points.alpha), 0)
     reflected = glossy * _masked(lobes.wo[:, 2], cos_i, points.alpha, model) / lobes.single
     chosen = (1 - lobes.p_diffuse) * _p_reflect(points, lobes, fresnel)
@@ -253,12 +257,12 @@ def scatter(
     is_diffuse = choice[:, 0] < lobes.p_diffuse
     wd, h = to_world(draws.diffuse, points.ns), draws.h
     cos_d = draws.diffuse[:, 2]
-    lit = jnp.where(dot(points.n, wd) > 0, coupling(points, cos_d, single=not model.multiple_scattering), 0)
+    lit = jnp.where(dot(points.n, wd) > 0, _coupling(points, cos_d, not model.multiple_scattering), 0)
 
     cos_h = dot(lobes.wo, h)
     local = reflect(lobes.wo, h)
-    fresnel = _fresnel(points, cos_h) * lobes.boost
-    p_reflect = _p_reflect(points, lobes, fresnel)
+    fresnel = apart(points.valid, _fresnel, points, cos_h) * lobes.boost
+    p_reflect = apart(points.valid, _p_reflect, points, lobes, fresnel)
     reflects = choice[:, 1] < p_reflect
     free = to_world(local, points.ns)
     wr = keep_above(free, points.n)
@@ -281,14 +285,8 @@ def scatter(
     lobe = jnp.where(is_diffuse, DIFFUSE, REFLECTED)
     eta_scale = jnp.ones_like(cos_d)
     if lobes.refracted is not None and thin is not None:
-        eta = relative_eta(points)
-        into, possible = refract(points.wo, to_world(h, points.ns), eta)
-        into = jnp.where(thin[:, None], -points.wo, -keep_above(-into, points.n))
         through = ~is_diffuse & ~reflects
-        # The two sides are masked by different microfacets: G2 is a product whatever the model, so G2 / G1 is one G1.
-        seen = smith_g1(jnp.abs(dot(points.ns, into)), points.alpha)
-        eta_scale = jnp.where(thin, 1, eta * eta)
-        seen = jnp.where(thin, 1, jnp.where(possible, seen, 0)) / eta_scale
+        into, seen, eta_scale = apart(through, _refraction, points, h, thin)
         p_through = (1 - lobes.p_diffuse) * (1 - p_reflect)
         wi = jnp.where(through[:, None], into, wi)
         weight = jnp.where(through[:, None], one * divide(seen, p_through)[:, None], weight)
@@ -297,6 +295,25 @@ def scatter(
         lobe = jnp.where(through, REFRACTED, lobe)
         eta_scale = jnp.where(through, eta_scale, 1)
     return Scattered(wi, weight, factor, density, lobe.astype(jnp.int32), eta_scale)
+
+
+def _refraction(
+    points: GBuffer, h: Float[Array, "n 3"], thin: Bool[Array, "n"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n"], Float[Array, "n"]]:
+    """Directions through microfacets with the local normal h, their weights, and the squared relative index."""
+    eta = relative_eta(points)
+    into, possible = refract(points.wo, to_world(h, points.ns), eta)
+    into = jnp.where(thin[:, None], -points.wo, -keep_above(-into, points.n))
+    # The two sides are masked by different microfacets: G2 is a product whatever the model, so G2 / G1 is one G1.
+    seen = smith_g1(jnp.abs(dot(points.ns, into)), points.alpha)
+    eta_scale = jnp.where(thin, 1, eta * eta)
+    return into, jnp.where(thin, 1, jnp.where(possible, seen, 0)) / eta_scale, eta_scale
+
+
+def _coupling(points: GBuffer, cos_i: Float[Array, "n"], single: bool) -> Float[Array, "n"]:
+    if points.coupled is None:
+        return jnp.ones_like(cos_i)
+    return apart(points.coupled, functools.partial(coupling, single=single), points, cos_i, fill=1.0)
 
 
 def _fresnel(points: GBuffer, cos_h: Float[Array, "n"]) -> Float[Array, "n 3"]:

@@ -5,12 +5,11 @@ What the scene does not have (`Scene.features`) is not looked up: an untextured 
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Conductors, Hits, Scene
-from jaxrefl.core import cross, dot
+from jaxrefl.core import apart, cross, dot
 from jaxrefl.core.safe import normalise
 from jaxrefl.scene.textures import texture_rgba
 from jaxrefl.surface.interpolate import interpolate
@@ -91,16 +90,11 @@ def _opacity(
 
 
 def _texture(scene: Scene, index: Int[Array, "*b"], uv: Float[Array, "*b 2"] | None) -> Float[Array, "*b 4"]:
-    """Texture values; where no element has a texture there is no lookup.
-
-    The branch also keeps XLA from computing the lookup again for each result that depends on it.
-    """
+    """Texture values; where no element has a texture there is no lookup."""
     textures = scene.textures
     if textures is None or uv is None:
         raise ValueError("scene: a material has a texture, but the scene has no textures or no texture coordinates")
-    return jax.lax.cond(
-        (index >= 0).any(), lambda: texture_rgba(textures, index, uv), lambda: jnp.ones((*index.shape, 4), uv.dtype)
-    )
+    return apart(index >= 0, texture_rgba, textures, index, uv, fill=1.0)
 
 
 def apply_normal_map(
