@@ -86,7 +86,7 @@ class EmbreeTracer:
         if cast is not None and len(cast) == len(origin):
             cast = None
         if cast is not None:
-            origin, direction = origin[cast], direction[cast]
+            origin, direction = origin.take(cast, axis=0), direction.take(cast, axis=0)
         found = self.cast(origin, direction)
         fields = (found["primID"], found["tfar"], found["u"], found["v"])
         if cast is not None:
@@ -104,12 +104,14 @@ class EmbreeTracer:
         """
         distance = np.array(t_max, np.float32).reshape(-1)  # a copy: embreex wants to be able to write
         origin, direction = _flat(rays.origin), _flat(rays.direction)
-        cast = distance > 0
+        cast = np.flatnonzero(distance > 0)
         blocked = np.zeros(len(distance), bool)
-        if cast.all():
+        if len(cast) == len(distance):
             blocked = self._blocked(origin, direction, distance)
-        elif cast.any():
-            blocked[cast] = self._blocked(origin[cast], direction[cast], distance[cast])
+        elif len(cast):
+            # `take` is four times as fast as indexing with a mask.
+            chosen = (x.take(cast, axis=0) for x in (origin, direction, distance))
+            blocked[cast] = self._blocked(*chosen)
         return jnp.asarray(blocked.reshape(rays.origin.shape[:-1]))
 
     def _blocked(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
