@@ -20,9 +20,11 @@ from jaxrefl.radiance import (
     PathOptions,
     camera_samples,
     direct_light,
+    path,
     path_light,
     path_radiance,
 )
+from jaxrefl.radiance.path_step import drain
 from jaxrefl.rays import BruteTracer, EmbreeTracer
 from jaxrefl.scene import assemble
 from jaxrefl.scene.description import (
@@ -190,14 +192,19 @@ def test_lights_that_shine_to_one_side_only():
     assert lit > 0.05 and dark == 0
 
 
-def test_a_run_is_reproducible_whatever_the_block():
-    """Bit for bit: what a path draws depends on its ray alone, and each ray has sums of its own."""
+def test_a_run_is_reproducible_whatever_the_block(monkeypatch: pytest.MonkeyPatch):
+    """Bit for bit: what a path draws depends on its ray alone, and each ray has sums of its own. The larger block
+    ends as one of the smaller size."""
+    drained = []
+    monkeypatch.setattr(path, "_LEAST", 128)
+    monkeypatch.setattr(path, "drain", lambda *args, count: drained.append(count) or drain(*args, count=count))
     scene = assemble(scenes.build("cornell", triangles=1000))
     camera = scenes.BUILT_IN["cornell"].path(1, size=(20, 15))[0]
-    blocks = [dataclasses.replace(SMALL, block=size) for size in (256, 256, 1024)]
+    blocks = [dataclasses.replace(SMALL, block=size) for size in (128, 128, 1024)]
     first, again, other = (image(scene, camera, 4, options=options) for options in blocks)
     assert (first == again).all()
     assert (first == other).all()
+    assert drained == [128, 128]
     assert (first != image(scene, camera, 4, seed=1)).any()
 
 
