@@ -221,7 +221,7 @@ def _load_for_comparison(mi: Any, file: Path, size: tuple[int, int], bounces: in
         own.prepend(str(file.resolve().parent))
         mi.set_file_resolver(own)
         try:
-            return mi.load_file(str(changed))
+            return mi.load_file(str(changed), parallel=False)  # in parallel it waits for itself now and then
         finally:
             mi.set_file_resolver(resolver)
 
