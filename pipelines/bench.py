@@ -278,9 +278,11 @@ def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
     size, samples = ((32, 24), 2) if arguments.quick else ((256, 256), 16)
     pictures = None if arguments.quick else arguments.out
     variants = ("scalar_rgb",) if arguments.quick else ("scalar_rgb", "llvm_ad_rgb")
-    rows = list(bench_mitsuba(arguments.mitsuba, size, samples, pictures, variants=variants))
     title = f"Up to {size[0]} x {size[1]} pixels, 8 replicates of {samples} samples, up to {BOUNCES} bounces"
-    _write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
+    rows = []
+    for row in bench_mitsuba(arguments.mitsuba, size, samples, pictures, variants=variants):
+        rows.append(row)  # kept as they grow: it takes long
+        _write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
 
 
 _OTHERS = {
