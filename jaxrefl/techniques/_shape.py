@@ -38,6 +38,12 @@ class Technique(NamedTuple):
     """Traced knobs."""
     Options: type
     """Static knobs."""
+    interval: Callable[[Any], int] | None = None
+    """`interval(options)`: after so many frames in order a run starts afresh from `init`; None: frames are independent
+    of each other, and `State` carries nothing."""
+    ahead: Callable[[Any], int] | None = None
+    """`ahead(options)`: of how many frames one is a key frame; the frames before it are told its camera, as
+    `Frame.ahead`. 0 or None: they are not."""
 
 
 @jax.jit

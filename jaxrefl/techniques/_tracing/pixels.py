@@ -1,4 +1,4 @@
-"""Some pixels of a frame, traced: Frame + mask -> Traced. Compacted into blocks, so work grows with the pixels wanted."""
+"""Some pixels of a frame, traced: Frame + mask -> Traced. Compacted into blocks: work grows with the pixels wanted."""
 
 import dataclasses
 
