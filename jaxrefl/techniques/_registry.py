@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-from jaxrefl.techniques import envmap, raytrace, warp
+from jaxrefl.techniques import envmap, raytrace, temporal, warp
 from jaxrefl.techniques._shape import Technique
 
 
@@ -17,6 +17,7 @@ TECHNIQUES: dict[str, Technique] = {
         _technique("raytrace", "Brute force: mirror rays, or n GGX samples, for every reflective pixel.", raytrace),
         _technique("envmap", "Environment mapping: a prefiltered map captured once per reflector or scene.", envmap),
         _technique("warp", "Naive warping: key frames are traced, reflections stick to surfaces between them.", warp),
+        _technique("temporal", "Reflections reprojected from key frames, traced where that fails.", temporal),
     )
 }
 """Techniques in the order in which a reader should meet them."""

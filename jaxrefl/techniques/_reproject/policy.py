@@ -33,7 +33,8 @@ class KeyOptions(TraceOptions):
     @property
     def in_order(self) -> int:
         """Frames that a batch run must render in order: whole key-frame intervals where they are fixed."""
-        return self.interval if self.policy == "interval" else self.batch
+        fixed = self.policy == "interval"
+        return self.interval * max(self.batch // self.interval, 1) if fixed else self.batch
 
 
 def wants_key(options: KeyOptions, age: int, share: float, spent: float, error: float, params: Any) -> bool:
