@@ -7,3 +7,4 @@ from .types import Options as Options
 from .types import Params as Params
 from .types import Reason as Reason
 from .types import State as State
+from .types import Taken as Taken

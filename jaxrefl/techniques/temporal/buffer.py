@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl._status import Source
 from jaxrefl._types import Frame, Scene
 from jaxrefl.surface import mirror_direction
 from jaxrefl.techniques._tracing import Traced
@@ -37,14 +36,15 @@ def is_noisy(scene: Scene, options: Options) -> bool:
 
 
 @functools.partial(jax.jit, static_argnames="noisy")
-def keep(frame: Frame, image: Traced, *, noisy: bool) -> ReflectionBuffer:
+def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool) -> ReflectionBuffer:
     r"""The reflection buffer of a traced frame.
 
     $$ R = W + r\, \omega_i $$
 
     Args:
         frame: The frame.
-        image: Its reflections, all traced.
+        image: Its reflections.
+        error: Expected relative error of each; 0 where it was traced.
         noisy: True: contrast is that of what is hit, not of its light.
     Returns:
         The buffer.
@@ -55,7 +55,7 @@ def keep(frame: Frame, image: Traced, *, noisy: bool) -> ReflectionBuffer:
     """
     gbuffer, reflection, reached = frame.gbuffer, image.reflection, image.reached
     wi, smooth = mirror_direction(gbuffer), gbuffer.alpha == 0
-    hit = reflection.valid & (reflection.source == int(Source.TRACED))
+    hit = reflection.valid & (reflection.t > 0)
     point = jnp.where(smooth[..., None], reflection.p, gbuffer.p + wi * reflection.t[..., None])
     w = jnp.where(hit, 1.0, 0.0)
     reflected = jnp.concatenate([jnp.where(hit[..., None], point, wi), w[..., None]], -1)
@@ -78,6 +78,8 @@ def keep(frame: Frame, image: Traced, *, noisy: bool) -> ReflectionBuffer:
         triangle=reached.triangle,
         changing=reached.changing,
         connected=connected,
+        seen=seen,
+        error=error,
         bend_x=bend_x,
         bend_y=bend_y,
     )

@@ -57,12 +57,13 @@ def judge(
     edge = jnp.where(smooth, (known & whole).reshape(shape), rough_known.reshape(shape))
     between = _expected_error(buffer, at).reshape(shape)
     turn = refined.tangent / jnp.maximum(gbuffer.alpha, 1e-6)
-    error = jnp.where(smooth, between, params.contrast * turn / jnp.maximum(params.lobe, 1e-6))
+    inherited = read([buffer.error.reshape(-1)], at)[0].reshape(shape)
+    error = inherited + jnp.where(smooth, between, params.contrast * turn / jnp.maximum(params.lobe, 1e-6))
 
     # The first test that fails is the reason, so the last one written wins.
     reason = jnp.full(shape, int(Reason.REUSED), jnp.int32)
     for failed, code in (
-        (smooth & (error > params.contrast), Reason.CONTRAST),
+        (error > jnp.where(smooth, params.contrast, 2 * params.contrast), Reason.CONTRAST),
         (~smooth & (turn > params.lobe), Reason.LOBE),
         (~steady.reshape(shape) & smooth, Reason.CHANGING),
         (smooth & ~(refined.residual <= params.tolerance), Reason.RESIDUAL),
@@ -73,15 +74,20 @@ def judge(
     ):
         reason = jnp.where(failed, int(code), reason)
     usable = (reason == int(Reason.REUSED)) | (reason == int(Reason.CONTRAST))
-    values = read(components(jnp.concatenate([buffer.radiance, buffer.reflected], -1)), at)
+    values = read(components(jnp.concatenate([buffer.radiance, buffer.reflected, buffer.seen], -1)), at)
+    nearest = at.cell + jnp.where(at.fx >= 0.5, 1, 0) + jnp.where(at.fy >= 0.5, at.width, 0)
+    triangle = buffer.triangle.reshape(-1)[nearest].reshape(shape)
     radiance = jnp.stack(values[:3], -1).reshape(*shape, 3)
-    reflected = jnp.stack(values[3:], -1).reshape(*shape, 4)
+    seen = jnp.stack(values[7:], -1).reshape(*shape, 3)
+    reflected = jnp.stack(values[3:7], -1).reshape(*shape, 4)
     return Proposal(
         uv=jnp.where(usable[..., None], refined.uv, 0),
         reason=reason,
         error=jnp.where(usable, error, 0),
         radiance=jnp.where(usable[..., None], radiance, 0),
         reflected=jnp.where(usable[..., None], reflected, 0),
+        triangle=jnp.where(usable, triangle, -1),
+        seen=jnp.where(usable[..., None], seen, 0),
     )
 
 
@@ -130,4 +136,6 @@ def _without(proposal: Proposal, hidden: Bool[Array, "h w"]) -> Proposal:
         error=jnp.where(kept, proposal.error, 0),
         radiance=jnp.where(kept[..., None], proposal.radiance, 0),
         reflected=jnp.where(kept[..., None], proposal.reflected, 0),
+        triangle=jnp.where(kept, proposal.triangle, -1),
+        seen=jnp.where(kept[..., None], proposal.seen, 0),
     )

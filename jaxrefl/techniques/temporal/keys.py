@@ -6,6 +6,8 @@ State + Frame -> State.
 import dataclasses
 
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxrefl._types import Frame
 from jaxrefl.surface import look
@@ -25,7 +27,7 @@ def key_frame_of(frame: Frame, image: Traced, *, options: Options) -> Reflection
     Returns:
         The key frame.
     """
-    return keep(frame, image, noisy=is_noisy(frame.scene, options))
+    return keep(frame, image, jnp.zeros_like(frame.gbuffer.t), noisy=is_noisy(frame.scene, options))
 
 
 def advance(state: State, frame: Frame, *, options: Options) -> State:
@@ -64,6 +66,25 @@ def renewed(state: State, key: ReflectionBuffer) -> State:
         A state that starts from it; a key frame ahead stays.
     """
     return State(key=key, ahead=state.ahead, search_ahead=state.search_ahead)
+
+
+def followed(state: State, frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Options) -> State:
+    """The state after a frame that is no key frame.
+
+    Args:
+        state: Before it.
+        frame: The frame.
+        image: Its reflections, reused and traced.
+        error: Expected relative errors; 0 where it was traced.
+        options: `recent`.
+    Returns:
+        With `recent` a state that keeps the frame: what it traced, the next one need not trace again. What it reused
+        keeps its expected error, so errors of reuse from frame to frame add up until they count as contrast.
+    """
+    if not options.recent or options.method == "as_published":
+        return state
+    noisy = is_noisy(frame.scene, options)
+    return dataclasses.replace(state, recent=keep(frame, image, error, noisy=noisy))
 
 
 def is_still(buffer: ReflectionBuffer, frame: Frame) -> bool:

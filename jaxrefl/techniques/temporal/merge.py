@@ -3,7 +3,6 @@
 Proposal + Frame -> mask of pixels to trace, Traced, Reflection.
 """
 
-import dataclasses
 import functools
 
 import jax
@@ -14,7 +13,7 @@ from jaxrefl._status import Source
 from jaxrefl._types import GBuffer, Reflection
 from jaxrefl.core.safe import norm
 from jaxrefl.surface import reflective
-from jaxrefl.techniques._tracing import Traced, nothing_traced
+from jaxrefl.techniques._tracing import Reached, Traced
 from jaxrefl.techniques.temporal.types import Params, Proposal, Reason, ReflectionBuffer
 
 
@@ -30,7 +29,7 @@ def nothing_offered(gbuffer: GBuffer) -> Proposal:
     zero = jnp.zeros_like(gbuffer.t)
     reason = jnp.where(reflective(gbuffer), int(Reason.KEY), int(Reason.NONE)).astype(jnp.int32)
     wide = jnp.zeros((*zero.shape, 4), jnp.float32)
-    return Proposal(wide[..., :2], reason, zero, wide[..., :3], wide)
+    return Proposal(wide[..., :2], reason, zero, wide[..., :3], wide, jnp.full_like(reason, -1), wide[..., :3])
 
 
 @jax.jit
@@ -52,6 +51,8 @@ def as_kept(buffer: ReflectionBuffer) -> Proposal:
         error=jnp.zeros_like(buffer.t),
         radiance=buffer.radiance,
         reflected=jnp.where(known, buffer.reflected, 0),
+        triangle=buffer.triangle,
+        seen=buffer.seen,
     )
 
 
@@ -93,7 +94,6 @@ def taken_over(proposal: Proposal, taken: Bool[Array, "h w"], gbuffer: GBuffer, 
     Returns:
         The image; the other pixels have fill values.
     """
-    empty = nothing_traced(gbuffer)
     finite = taken & (proposal.reflected[..., 3] > 0.5)
     point = jnp.where(finite[..., None], proposal.reflected[..., :3], 0)
     confidence = 1 / (1 + proposal.error / jnp.maximum(params.contrast, 1e-6))
@@ -105,7 +105,12 @@ def taken_over(proposal: Proposal, taken: Bool[Array, "h w"], gbuffer: GBuffer, 
         p=point,
         t=jnp.where(finite, norm(point - gbuffer.p), 0),
     )
-    return dataclasses.replace(empty, reflection=reflection)
+    reached = Reached(
+        triangle=jnp.where(taken, proposal.triangle, -1),
+        colour=jnp.where(taken[..., None], proposal.seen, 0),
+        changing=jnp.zeros_like(taken),
+    )
+    return Traced(reflection, reached)
 
 
 @jax.jit

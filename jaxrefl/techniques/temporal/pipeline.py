@@ -10,11 +10,12 @@ import dataclasses
 import time
 
 import jax
+import jax.numpy as jnp
 
 from jaxrefl._types import Frame, Reflection, Scene, Tracer
 from jaxrefl.techniques._reproject import wants_key
 from jaxrefl.techniques._tracing import trace_reflected, trace_refracted
-from jaxrefl.techniques.temporal.keys import advance, key_frame_of, renewed
+from jaxrefl.techniques.temporal.keys import advance, followed, key_frame_of, renewed
 from jaxrefl.techniques.temporal.merge import choose, flow_of, nothing_offered, taken_over
 from jaxrefl.techniques.temporal.propose import offer
 from jaxrefl.techniques.temporal.types import Info, Options, Params, State
@@ -90,7 +91,10 @@ def step(
     traced_at = time.perf_counter()
     share = int(wanted.sum()) / max(found.pixels, 1)
     if is_key:
-        state = renewed(state, jax.block_until_ready(key_frame_of(frame, image, options=options)))
+        state = renewed(state, key_frame_of(frame, image, options=options))
+    elif not found.exact:
+        state = followed(state, frame, image, jnp.where(taken, proposal.error, 0), options=options)
+    state = jax.block_until_ready(state)
     state = dataclasses.replace(state, age=state.age + 1, spent=state.spent + share)
     counts = {
         "key_frame": int(is_key),
@@ -104,4 +108,4 @@ def step(
     seconds |= {"look_ahead": looked_ahead - began, "trace": traced_at - offered_at}
     seconds["keep"] = time.perf_counter() - traced_at
     rays, flow = frame.tracer.rays - cast_before, flow_of(proposal, taken)
-    return state, result, Info(rays, seconds, counts, proposal.reason, flow, found.from_ahead & taken)
+    return state, result, Info(rays, seconds, counts, proposal.reason, flow, jnp.where(taken, found.taken_from, 0))

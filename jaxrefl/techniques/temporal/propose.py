@@ -19,7 +19,7 @@ from jaxrefl.techniques.temporal.merge import as_kept, nothing_offered
 from jaxrefl.techniques.temporal.published import propose_as_published
 from jaxrefl.techniques.temporal.refine import refine
 from jaxrefl.techniques.temporal.shift import starts
-from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer, Search, State
+from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer, Search, State, Taken
 
 
 class Offer(NamedTuple):
@@ -27,8 +27,8 @@ class Offer(NamedTuple):
 
     proposal: Proposal
     """The better one per pixel; all to be traced where there is no key frame."""
-    from_ahead: Bool[Array, "h w"]
-    """Where it is the next key frame's."""
+    taken_from: Int[Array, "h w"]
+    """Which frame offers it, a `Taken` code."""
     exact: bool
     """True: the camera is that of the key frame, and nothing has moved."""
     pixels: int
@@ -57,26 +57,40 @@ def offer(state: State, frame: Frame, params: Params, *, options: Options) -> tu
     Returns:
         The offer, the state with what was found for the next frame to start from, and seconds per stage.
     """
-    nowhere, seconds, too_wide, exact = jnp.zeros_like(frame.gbuffer.valid), {}, 0, False
+    wanted, seconds, too_wide, exact = reflective(frame.gbuffer), {}, 0, False
+    taken_from = jnp.full(wanted.shape, int(Taken.KEY), jnp.int32)
     if state.key is None:
-        proposal, from_ahead = nothing_offered(frame.gbuffer), nowhere
+        proposal = nothing_offered(frame.gbuffer)
     elif same_camera(state.key.camera, frame.camera) and is_still(state.key, frame):
-        proposal, from_ahead, exact = as_kept(state.key), nowhere, True
+        proposal, exact = as_kept(state.key), True
     else:
-        proposal, search, seconds, too_wide = propose(state.key, state.search, frame, params, options=options)
-        state, from_ahead = dataclasses.replace(state, search=search), nowhere
-        if state.ahead is not None:
-            other, search, more, wide = propose(state.ahead, state.search_ahead, frame, params, options=options)
-            state = dataclasses.replace(state, search_ahead=search)
+        proposal, search, seconds, too_wide = propose(state.key, state.search, frame, wanted, params, options=options)
+        state = dataclasses.replace(state, search=search)
+        for buffer, before, code in (
+            (state.ahead, state.search_ahead, Taken.AHEAD),
+            (state.recent, None, Taken.RECENT),
+        ):
+            if buffer is None:
+                continue
+            asked = wanted if code == Taken.AHEAD else wanted & (proposal.reason != int(Reason.REUSED))
+            other, search, more, wide = propose(buffer, before, frame, asked, params, options=options)
+            if code == Taken.AHEAD:
+                state = dataclasses.replace(state, search_ahead=search)
             seconds, too_wide = {name: seconds[name] + more[name] for name in seconds}, too_wide + wide
-            proposal, from_ahead = better(proposal, other)
-    pixels, missing, error = _count(proposal, reflective(frame.gbuffer))
-    found = Offer(proposal, from_ahead, exact, int(pixels), int(missing), float(error), too_wide)
+            proposal, taken_from = better(proposal, other, taken_from, int(code))
+    pixels, missing, error = _count(proposal, wanted)
+    found = Offer(proposal, taken_from, exact, int(pixels), int(missing), float(error), too_wide)
     return found, state, seconds
 
 
 def propose(
-    buffer: ReflectionBuffer, before: Search | None, frame: Frame, params: Params, *, options: Options
+    buffer: ReflectionBuffer,
+    before: Search | None,
+    frame: Frame,
+    asked: Bool[Array, "h w"],
+    params: Params,
+    *,
+    options: Options,
 ) -> tuple[Proposal, Search, dict[str, float], int]:
     """What one key frame offers.
 
@@ -84,6 +98,7 @@ def propose(
         buffer: The key frame.
         before: The last search in it.
         frame: The frame to render.
+        asked: Pixels for which to look; the others are UNSEEN.
         params: Thresholds.
         options: The method, and its steps.
     Returns:
@@ -100,6 +115,7 @@ def propose(
     if frame.scene.features.glossy:
         there, seen = seen_before(frame.gbuffer, buffer.camera, buffer.p, buffer.object, params.surface)
         uv, covered = _by_roughness(frame.gbuffer.alpha == 0, uv, covered, there, seen)
+    covered = covered & asked
     refined = refine(buffer, frame.gbuffer, uv, covered, options=options)
     proposal = jax.block_until_ready(judge(buffer, frame.gbuffer, refined, covered, moved, params))
     times.append(time.perf_counter())
@@ -117,15 +133,19 @@ def _by_roughness(smooth: Array, uv: Array, covered: Array, there: Array, seen: 
 
 
 @jax.jit
-def better(a: Proposal, b: Proposal) -> tuple[Proposal, Bool[Array, "h w"]]:
+def better(
+    a: Proposal, b: Proposal, taken_from: Int[Array, "h w"], code: Int[Array, ""] | int
+) -> tuple[Proposal, Int[Array, "h w"]]:
     """The better of two proposals at each pixel.
 
     Args:
         a: What one key frame offers.
         b: What another offers.
+        taken_from: `Taken` codes of `a`.
+        code: That of `b`.
     Returns:
-        Pixel by pixel the one that may be taken and has the smaller expected error, `a` if they are equal; and where it
-            is `b`.
+        Pixel by pixel the one that may be taken and has the smaller expected error, `a` if they are equal; and its
+            code.
     """
     fine_a, fine_b = a.reason == int(Reason.REUSED), b.reason == int(Reason.REUSED)
     take_b = fine_b & (~fine_a | (b.error < a.error))
@@ -133,7 +153,7 @@ def better(a: Proposal, b: Proposal) -> tuple[Proposal, Bool[Array, "h w"]]:
     def choose(x: Array, y: Array) -> Array:
         return jnp.where(take_b.reshape(take_b.shape + (1,) * (x.ndim - 2)), y, x)
 
-    return jax.tree.map(choose, a, b), take_b
+    return jax.tree.map(choose, a, b), jnp.where(take_b, code, taken_from).astype(jnp.int32)
 
 
 @jax.jit

@@ -116,4 +116,6 @@ def _warp(
         error=jnp.zeros_like(gbuffer.t),
         radiance=jnp.where(taken, values[..., :3], 0),
         reflected=jnp.where(taken, values[..., 3:7], 0),
+        triangle=jnp.full_like(reason, -1),
+        seen=jnp.zeros_like(gbuffer.p),
     )

@@ -64,7 +64,9 @@ def refine(
     infinite = jnp.full(wanted.shape, jnp.inf, jnp.float32)
     result = Refined(jnp.copy(uv), infinite, jnp.copy(infinite))
     for index in blocks_of(wanted, size=block_size(wanted.size, options.block)):
-        result = put_block(index, result, _refine_block(image, buffer.t.shape, gbuffer, uv, index, options.refine_steps))
+        result = put_block(
+            index, result, _refine_block(image, buffer.t.shape, gbuffer, uv, index, options.refine_steps)
+        )
     return result
 
 

@@ -45,6 +45,19 @@ class Reason(enum.IntEnum):
     """As published: the search did not end within its steps."""
 
 
+class Taken(enum.IntEnum):
+    """From where a pixel was taken; the values of `Info.taken_from`."""
+
+    NOWHERE = 0
+    """It was traced, or is no reflection."""
+    KEY = 1
+    """The last key frame."""
+    AHEAD = 2
+    """The next key frame."""
+    RECENT = 3
+    """The frame before."""
+
+
 class Params(eqx.Module):
     """Tunable numbers; none is a length, so scaling a scene changes nothing."""
 
@@ -76,6 +89,7 @@ class Options(KeyOptions):
     method: str = option(
         "refined", "Refined with tests of each pixel, or as published.", choices=("refined", "as_published")
     )
+    recent: bool = option(True, "Also take pixels from the frame before, which has traced what the key frame lacks.")
     keys: int = option(1, "Key frames to take a pixel from: the last one, or the next one too.", low=1, high=2)
     occlusion: str = option(
         "rays", "What finds hidden points: a shadow ray, or depths alone.", choices=("rays", "depths")
@@ -138,6 +152,10 @@ class ReflectionBuffer(eqx.Module):
     """True where what is reflected looks different from elsewhere."""
     connected: Bool[Array, "h w"]
     """True where the four pixels with this upper left corner show one smooth piece of one thing."""
+    seen: Float[Array, "h w 3"]
+    """What contrast is judged by: the radiance, or where that has noise the base colour of what is reflected."""
+    error: Float[Array, "h w"]
+    """Expected relative error of the radiance itself; 0 where it was traced."""
     bend_x: Float[Array, "h w"]
     """Relative second difference of colours along x in that cell."""
     bend_y: Float[Array, "h w"]
@@ -165,6 +183,8 @@ class State(eqx.Module):
     """The next key frame, with `keys = 2`."""
     search_ahead: Search | None = None
     """Last search in that."""
+    recent: ReflectionBuffer | None = None
+    """The frame before, with `recent`; None: that was a key frame, or there was none."""
     age: int = 0
     """Frames since the key frame."""
     spent: float = 0.0
@@ -184,6 +204,10 @@ class Proposal(eqx.Module):
     """Reflected radiance; fill 0 where there is none."""
     reflected: Float[Array, "h w 4"]
     """Reflected point or direction; fill 0."""
+    triangle: Int[Array, "h w"]
+    """Reflected triangle of the nearest pixel; -1 for the environment; fill -1."""
+    seen: Float[Array, "h w 3"]
+    """What contrast is judged by; fill 0."""
 
 
 class Info(_shape.Info):
@@ -192,7 +216,7 @@ class Info(_shape.Info):
     reason: Int[Array, "h w"]
     """A `Reason` per pixel."""
     flow: Float[Array, "h w 2"]
-    """Specular flow: where the reflected point was seen in the key frame minus where it is seen now, (x, y) in pixels;
+    """Specular flow: where the reflected point was seen in the frame it was taken from minus where it is seen now, (x, y) in pixels;
     0 where the pixel was not reused."""
-    from_ahead: Bool[Array, "h w"]
-    """True where it was taken from the next key frame rather than the last."""
+    taken_from: Int[Array, "h w"]
+    """From where a pixel was taken, a `Taken` code; `flow` leads to that frame."""
