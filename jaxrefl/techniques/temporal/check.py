@@ -18,7 +18,7 @@ from jaxrefl.techniques._reproject import SNAP, Footprint, all_of, components, f
 from jaxrefl.techniques.temporal.refine import Refined
 from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer
 
-_SHORT = 2e-3
+_SHORT = 1e-3
 """Share of the way to the point at its end in which nothing is looked for: there lies the point itself."""
 
 
@@ -105,7 +105,7 @@ def unhidden(proposal: Proposal, frame: Frame, *, options: Options) -> Proposal:
         options: `occlusion`: `depths` trusts the depth test of the drawing.
     Returns:
         The proposal, with reason HIDDEN where something lies between.
-    Edge cases: rough reflections have no single point, and are not tested. The last 0.2 % of the way are not either.
+    Edge cases: rough reflections have no single point, and are not tested. The last 0.1 % of the way are not either.
     """
     if options.occlusion == "depths":
         return proposal

@@ -43,11 +43,11 @@ def match_pixels(
         counts as having left it.
     Source: [XWD17] Algorithm 2.
     """
-    zero = jnp.zeros((*buffer.t.shape, 2), jnp.float32)
-    start = zero if before is None or options.start == "surface" else before.place
+    shape = (*buffer.t.shape, 2)
+    start = jnp.zeros(shape, jnp.float32) if before is None or options.start == "surface" else before.place
     outline = silhouette(buffer, params)
     mirrors = surfaces(buffer.p, buffer.ns, jnp.where(buffer.valid, buffer.object, -1))
-    result = (Search(zero, jnp.zeros_like(buffer.valid)), jnp.zeros(buffer.valid.shape, jnp.int32))
+    result = (Search(jnp.zeros(shape, jnp.float32), jnp.zeros_like(buffer.valid)), jnp.zeros(buffer.valid.shape, jnp.int32))
     image, wanted = jax.jit(components)(buffer.reflected), buffer.valid & buffer.smooth
     for index in blocks_of(wanted, size=block_size(wanted.size, options.block)):
         block = _match_block(image, mirrors, outline, start, camera, index, options.search_steps)
