@@ -91,20 +91,35 @@ def render_unit(
     state = prepared.state
     for number in range(unit.first, unit.last + 1):
         view = stage.view(number)
-        step = _step(stage, prepared, state, view, number, unit.technique)
+        step = _step(stage, prepared, state, view, number, unit)
         state = step.value[0]
         if number in unit.missing:
             finished = _Finished(unit.technique, number, view, step, prepared.init_seconds)
             yield _files(stage, finished, references.get(number), command)
 
 
-def _step(stage: Stage, prepared: Prepared, state: Any, view: View, number: int, name: str) -> Timed:
+def _step(stage: Stage, prepared: Prepared, state: Any, view: View, number: int, unit: Unit) -> Timed:
+    name = unit.technique
     # A stream of its own for each technique, and another for the reference, so that no noise is shared.
     key = stage.key(number, zlib.crc32(name.encode()) | 1)
-    frame = Frame(scene=stage.scene, camera=stage.camera(number), gbuffer=view.gbuffer, key=key, tracer=stage.tracer)
+    ahead = _next_key(prepared, number - unit.first)
+    frame = Frame(
+        scene=stage.scene,
+        camera=stage.camera(number),
+        gbuffer=view.gbuffer,
+        key=key,
+        tracer=stage.tracer,
+        ahead=None if ahead is None else stage.camera(min(unit.first + ahead, len(stage.cameras) - 1)),
+    )
     # Long references are not worth a second run for the sake of their time.
     call = lambda: prepared.technique.step(state, frame, prepared.params, options=prepared.options)  # noqa: E731
     return timed(call, repeat=name != REFERENCE)
+
+
+def _next_key(prepared: Prepared, number: int) -> int | None:
+    """Number of the key frame after frame `number` of a unit; None where the technique does not look ahead."""
+    every = 0 if prepared.technique.ahead is None else prepared.technique.ahead(prepared.options)
+    return None if every == 0 else (number // every + 1) * every
 
 
 class _Finished(NamedTuple):

@@ -69,7 +69,7 @@ class Params(eqx.Module):
         0.1, 0.001, 10.0, "Distance from the mirror ray to the point found, key-frame pixels, above which to trace."
     )
     contrast: Float[Array, ""] = tunable(
-        0.02, 0.0, 10.0, "Expected relative error between key-frame pixels above which to trace."
+        0.03, 0.0, 10.0, "Expected relative error between key-frame pixels above which to trace."
     )
     lobe: Float[Array, ""] = tunable(
         0.1, 0.0, 2.0, "Turn of a rough reflection, as a share of its lobe's width, up to which it is reused."
