@@ -61,7 +61,7 @@ def test_drawing_is_that_of_the_reference():
     rng, (w, h) = np.random.default_rng(3), (14, 11)
     here = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)
     xy = (1.2 * here - 1.5 + rng.uniform(-0.6, 0.6, here.shape)).astype(np.float32)
-    xy[3, 4] += 9  # a vertex that makes triangles too large, and some that cover many pixels
+    xy[3, 4] += 5  # a vertex that makes triangles too large, and some that cover many pixels
     depth, connected = rng.uniform(1, 2, (h, w)).astype(np.float32), rng.random((h, w)) < 0.9
     owner, target = rng.integers(0, 2, (h, w)).astype(np.int32), rng.integers(0, 2, (h + 2, w + 3)).astype(np.int32)
     mesh = GridMesh(jnp.asarray(xy), jnp.asarray(depth), jnp.asarray(connected), jnp.asarray(owner))

@@ -12,6 +12,7 @@ from .read import Footprint as Footprint
 from .read import all_of as all_of
 from .read import components as components
 from .read import footprint as footprint
+from .read import pixel_centres as pixel_centres
 from .read import read as read
 from .surface import read_reflection as read_reflection
 from .surface import seen_before as seen_before

@@ -95,7 +95,7 @@ def draw(mesh: GridMesh, target: Int[Array, "th tw"], *, largest: float = 16.0, 
     return Drawn(uv, valid, (shown & (wide > WIDEST)).sum().astype(jnp.int32))
 
 
-def _compact(mask: Bool[Array, "n"]) -> Int[Array, "n"]:
+def _compact(mask: Bool[Array, "n"]) -> Int[Array, "padded"]:
     padded = mask.shape[0] + _BLOCK
     return jnp.nonzero(mask, size=padded, fill_value=0)[0].astype(jnp.int32)
 

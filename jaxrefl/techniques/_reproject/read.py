@@ -90,6 +90,20 @@ def all_of(mask: Bool[Array, "m"], at: Footprint) -> Bool[Array, "n"]:
     return held[0] & held[1] & held[2] & held[3]
 
 
+def pixel_centres(height: int, width: int) -> Float[Array, "h w 2"]:
+    """Coordinates of all pixels of an image.
+
+    Args:
+        height: Its height.
+        width: Its width.
+    Returns:
+        (x, y) of each pixel's centre.
+    """
+    x = jnp.arange(width, dtype=jnp.float32) + 0.5
+    y = jnp.arange(height, dtype=jnp.float32) + 0.5
+    return jnp.stack(jnp.meshgrid(x, y), -1)
+
+
 def components(image: Float[Array, "h w c"]) -> tuple[Float[Array, "m"], ...]:
     """An image's components as flat arrays.
 

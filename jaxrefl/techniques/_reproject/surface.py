@@ -57,19 +57,19 @@ def seen_before(
 
 
 def read_reflection(
-    uv: Float[Array, "h w 2"], valid: Bool[Array, "h w"], radiance: Float[Array, "kh kw 3"], known: Bool[Array, "kh kw"]
-) -> tuple[Float[Array, "h w 3"], Bool[Array, "h w"]]:
+    uv: Float[Array, "h w 2"], valid: Bool[Array, "h w"], image: Float[Array, "kh kw c"], known: Bool[Array, "kh kw"]
+) -> tuple[Float[Array, "h w c"], Bool[Array, "h w"]]:
     """Bilinear values of a key frame.
 
     Args:
         uv: Coordinates in it.
         valid: Where they mean something.
-        radiance: What to read.
+        image: What to read.
         known: Where it is known.
     Returns:
         Values (fill 0), and where all pixels that count were known.
     """
     at = footprint(uv.reshape(-1, 2), shape=known.shape, snap=SNAP)
-    value = jnp.stack(read(components(radiance), at), -1).reshape(*valid.shape, radiance.shape[-1])
+    value = jnp.stack(read(components(image), at), -1).reshape(*valid.shape, image.shape[-1])
     good = valid & all_of(known.reshape(-1), at).reshape(valid.shape)
     return jnp.where(good[..., None], value, 0), good

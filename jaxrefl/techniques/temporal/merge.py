@@ -13,6 +13,7 @@ from jaxrefl._status import Source
 from jaxrefl._types import GBuffer, Reflection
 from jaxrefl.core.safe import norm
 from jaxrefl.surface import reflective
+from jaxrefl.techniques._reproject import pixel_centres
 from jaxrefl.techniques._tracing import Reached, Traced
 from jaxrefl.techniques.temporal.types import Params, Proposal, Reason, ReflectionBuffer
 
@@ -42,7 +43,7 @@ def as_kept(buffer: ReflectionBuffer) -> Proposal:
         A proposal with its own pixels.
     """
     h, w = buffer.valid.shape
-    centres = jnp.stack(jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5), -1).astype(jnp.float32)
+    centres = pixel_centres(h, w)
     known = buffer.valid[..., None]
     reason = jnp.where(buffer.valid, int(Reason.REUSED), int(Reason.NONE)).astype(jnp.int32)
     return Proposal(
@@ -124,5 +125,5 @@ def flow_of(proposal: Proposal, taken: Bool[Array, "h w"]) -> Float[Array, "h w 
         Key-frame coordinate minus pixel centre, (x, y) in pixels; 0 elsewhere.
     """
     h, w = taken.shape
-    centres = jnp.stack(jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5), -1).astype(jnp.float32)
+    centres = pixel_centres(h, w)
     return jnp.where(taken[..., None], proposal.uv - centres, 0)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Frame, GBuffer
 from jaxrefl.surface import reflective
-from jaxrefl.techniques._reproject import GridMesh, draw, read_reflection, seen_before
+from jaxrefl.techniques._reproject import GridMesh, draw, pixel_centres, read_reflection, seen_before
 from jaxrefl.techniques.temporal.neighbourhood import match_pixels, silhouette
 from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer, Search
 
@@ -74,7 +74,7 @@ def shift(buffer: ReflectionBuffer, search: Search, params: Params) -> tuple[Flo
         bend = jnp.roll(inverse, 1, axis) - 2 * inverse + jnp.roll(inverse, -1, axis)
         broken = broken | (jnp.abs(bend) > params.discontinuity * inverse)
     h, w = depth.shape
-    here = jnp.stack(jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5), -1).astype(jnp.float32)
+    here = pixel_centres(h, w)
 
     def of_cell(x: Array) -> tuple[Array, Array, Array, Array]:
         return x, jnp.roll(x, -1, 0), jnp.roll(x, -1, 1), jnp.roll(x, (-1, -1), (0, 1))

@@ -165,10 +165,10 @@ class ReflectionBuffer(eqx.Module):
 class Search(eqx.Module):
     """Results of the forward search, for the next frame to start from."""
 
-    place: Float[Array, "gh gw 2"]
+    place: Float[Array, "*b 2"]
     """Where each key-frame pixel's reflected point is seen now, pixels; the surface where the search failed. As
     published: the offset to the matching key-frame pixel."""
-    found: Bool[Array, "gh gw"]
+    found: Bool[Array, "*b"]
     """Where the search ended well."""
 
 
