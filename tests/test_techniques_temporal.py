@@ -143,7 +143,7 @@ def test_what_moves_leaves_no_ghost():
 
 def test_a_reflector_that_moves_is_traced_or_followed():
     scene = room()
-    vertices = scene.mesh.vertices + jnp.array([0.0, 0.01, 0.0])
+    vertices = scene.mesh.vertices + jnp.array([[0.0, 0.01, 0.0]])
     lifted = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, vertices=vertices))
     _, second = run(temporal, [0.0, 1.0], scenes=[scene, lifted], options=KEEP)
     assert set(np.unique(second[2].reason)) == {int(Reason.NONE), int(Reason.MOVED)}
@@ -263,7 +263,9 @@ def test_warping_sticks_to_surfaces():
 
 def test_a_mirror_seen_in_a_mirror_is_traced_when_it_is_followed():
     """What is reflected may be a mirror itself; followed further it looks different from everywhere."""
-    wall = box((-4, 0, -4.2), (4, 4, -4)).part("wall", Material("shiny", metallic=1.0, alpha=0.0, base_colour=(1, 1, 1)))
+    wall = box((-4, 0, -4.2), (4, 4, -4)).part(
+        "wall", Material("shiny", metallic=1.0, alpha=0.0, base_colour=(1, 1, 1))
+    )
     parts = [floor("ground", mirror("polished")), wall, pillar("front", (0.9, 0.1, 0.1), FRONT)]
     scene = assemble(Description("mirrors", parts, ambient=(1.0, 1.0, 1.0)))
     options = dataclasses.replace(KEEP, bounces=1)

@@ -5,13 +5,14 @@ Differs from the source: the specular factor B.2 is not kept, since each frame's
 triangle is, so that what moves is known.
 """
 
+import dataclasses
 import functools
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl._types import Frame, Scene
+from jaxrefl._types import Camera, Frame, GBuffer, Mesh, Scene
 from jaxrefl.surface import mirror_direction
 from jaxrefl.techniques._tracing import Traced
 from jaxrefl.techniques.temporal.cells import bends, connections
@@ -35,7 +36,6 @@ def is_noisy(scene: Scene, options: Options) -> bool:
     return options.light == "path" or lights.area is not None or lights.environment is not None
 
 
-@functools.partial(jax.jit, static_argnames="noisy")
 def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool) -> ReflectionBuffer:
     r"""The reflection buffer of a traced frame.
 
@@ -53,19 +53,26 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool
     Differs from the source: line 3 back-projects the primary depth (the paper's `s.r` there is a slip); positions are
         those of the G-buffer, which are more exact than back-projection, and of mirrors the points that were hit.
     """
-    gbuffer, reflection, reached = frame.gbuffer, image.reflection, image.reached
+    return _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, noisy)
+
+
+@functools.partial(jax.jit, static_argnums=5)
+def _keep(
+    camera: Camera, mesh: Mesh, gbuffer: GBuffer, image: Traced, error: Float[Array, "h w"], noisy: bool
+) -> ReflectionBuffer:
+    reflection, reached = image.reflection, image.reached
     wi, smooth = mirror_direction(gbuffer), gbuffer.alpha == 0
     hit = reflection.valid & (reflection.t > 0)
     point = jnp.where(smooth[..., None], reflection.p, gbuffer.p + wi * reflection.t[..., None])
     w = jnp.where(hit, 1.0, 0.0)
     reflected = jnp.concatenate([jnp.where(hit[..., None], point, wi), w[..., None]], -1)
-    right, down, connected = connections(frame.scene.mesh, reflected, reached.triangle, reflection.valid)
+    right, down, connected = connections(mesh, reflected, reached.triangle, reflection.valid)
     seen = reached.colour if noisy else reflection.radiance
     flat = smooth & ~reached.changing if noisy else smooth
     bend_x, bend_y = bends(jnp.where(flat[..., None], seen, 0), right, down, reflection.valid)
     return ReflectionBuffer(
-        camera=frame.camera,
-        vertices=frame.scene.mesh.vertices,
+        camera=camera,
+        vertices=mesh.vertices,
         valid=reflection.valid,
         p=gbuffer.p,
         ns=gbuffer.ns,
@@ -100,21 +107,20 @@ def as_of(buffer: ReflectionBuffer, frame: Frame, *, options: Options) -> tuple[
     """
     if frame.scene.mesh.vertices is buffer.vertices:
         return buffer, jnp.zeros_like(frame.gbuffer.valid)
-    return _moved(buffer, frame, options.moving == "follow")
+    return _moved(buffer, frame.scene.mesh, frame.gbuffer, options.moving == "follow")
 
 
-@functools.partial(jax.jit, static_argnums=2)
-def _moved(buffer: ReflectionBuffer, frame: Frame, follow: bool) -> tuple[ReflectionBuffer, Bool[Array, "h w"]]:
-    import dataclasses
-
-    mesh = frame.scene.mesh
+@functools.partial(jax.jit, static_argnums=3)
+def _moved(
+    buffer: ReflectionBuffer, mesh: Mesh, gbuffer: GBuffer, follow: bool
+) -> tuple[ReflectionBuffer, Bool[Array, "h w"]]:
     still = (mesh.vertices == buffer.vertices).all(-1)
     still_triangle = still[mesh.faces].all(-1)
     any_moved = ~still_triangle.all()
     reflected = buffer.reflected
     shown = buffer.triangle >= 0
     same = jnp.where(shown, still_triangle[jnp.maximum(buffer.triangle, 0)], True)
-    own = frame.gbuffer.valid & ~still_triangle[jnp.maximum(frame.gbuffer.triangle, 0)]
+    own = gbuffer.valid & ~still_triangle[jnp.maximum(gbuffer.triangle, 0)]
     kept = buffer.valid & (buffer.smooth | ~any_moved)
     if not follow:
         return dataclasses.replace(buffer, valid=kept & same), own
@@ -124,7 +130,7 @@ def _moved(buffer: ReflectionBuffer, frame: Frame, follow: bool) -> tuple[Reflec
     moved = dataclasses.replace(
         buffer, valid=kept, reflected=jnp.concatenate([point, reflected[..., 3:]], -1), vertices=mesh.vertices
     )
-    return moved, own & ~jnp.ones_like(own)
+    return moved, jnp.zeros_like(own)
 
 
 def _carried(p: Float[Array, "h w 3"], old: Float[Array, "h w 3 3"], new: Float[Array, "h w 3 3"]) -> Array:

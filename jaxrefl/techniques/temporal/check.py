@@ -109,15 +109,13 @@ def unhidden(proposal: Proposal, frame: Frame, *, options: Options) -> Proposal:
     """
     if options.occlusion == "depths":
         return proposal
-    rays, t_max = _shadow_rays(proposal, frame)
+    rays, t_max = _shadow_rays(proposal, frame.gbuffer, norm(frame.scene.upper - frame.scene.lower))
     return _without(proposal, frame.tracer.occluded(rays, t_max))
 
 
 @jax.jit
-def _shadow_rays(proposal: Proposal, frame: Frame) -> tuple[Rays, Float[Array, "h w"]]:
-    gbuffer = frame.gbuffer
+def _shadow_rays(proposal: Proposal, gbuffer: GBuffer, size: Float[Array, ""]) -> tuple[Rays, Float[Array, "h w"]]:
     wi = mirror_direction(gbuffer)
-    size = norm(frame.scene.upper - frame.scene.lower)
     finite = proposal.reflected[..., 3] > 0.5
     t = norm(proposal.reflected[..., :3] - gbuffer.p)
     reach = jnp.where(finite, (1 - _SHORT) * t, 4 * size)

@@ -47,7 +47,10 @@ def match_pixels(
     start = jnp.zeros(shape, jnp.float32) if before is None or options.start == "surface" else before.place
     outline = silhouette(buffer, params)
     mirrors = surfaces(buffer.p, buffer.ns, jnp.where(buffer.valid, buffer.object, -1))
-    result = (Search(jnp.zeros(shape, jnp.float32), jnp.zeros_like(buffer.valid)), jnp.zeros(buffer.valid.shape, jnp.int32))
+    result = (
+        Search(jnp.zeros(shape, jnp.float32), jnp.zeros_like(buffer.valid)),
+        jnp.zeros(buffer.valid.shape, jnp.int32),
+    )
     image, wanted = jax.jit(components)(buffer.reflected), buffer.valid & buffer.smooth
     for index in blocks_of(wanted, size=block_size(wanted.size, options.block)):
         block = _match_block(image, mirrors, outline, start, camera, index, options.search_steps)

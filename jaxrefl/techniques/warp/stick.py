@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxrefl._status import Source
-from jaxrefl._types import Frame, Reflection
+from jaxrefl._types import Camera, Frame, GBuffer, Mesh, Reflection
 from jaxrefl.core import dot
 from jaxrefl.core.safe import arccos, norm
 from jaxrefl.surface import mirror_direction, reflective
@@ -17,7 +17,6 @@ from jaxrefl.techniques._tracing import Traced
 from jaxrefl.techniques.warp.types import Key, Params
 
 
-@jax.jit
 def keep(frame: Frame, image: Traced) -> Key:
     """What later frames need of a traced one.
 
@@ -27,10 +26,14 @@ def keep(frame: Frame, image: Traced) -> Key:
     Returns:
         The key frame.
     """
-    reflection, gbuffer = image.reflection, frame.gbuffer
+    return _keep(frame.camera, frame.scene.mesh.vertices, frame.gbuffer, image.reflection)
+
+
+@jax.jit
+def _keep(camera: Camera, vertices: Float[Array, "v 3"], gbuffer: GBuffer, reflection: Reflection) -> Key:
     return Key(
-        camera=frame.camera,
-        vertices=frame.scene.mesh.vertices,
+        camera=camera,
+        vertices=vertices,
         p=gbuffer.p,
         object=gbuffer.object,
         wi=mirror_direction(gbuffer),
@@ -41,7 +44,6 @@ def keep(frame: Frame, image: Traced) -> Key:
     )
 
 
-@jax.jit
 def warp(key: Key, frame: Frame, params: Params) -> tuple[Reflection, Float[Array, ""]]:
     """The key frame's reflections at this frame's points.
 
@@ -55,9 +57,13 @@ def warp(key: Key, frame: Frame, params: Params) -> tuple[Reflection, Float[Arra
     Edge cases: points of triangles that have moved are invalid; what has moved in a reflection goes unnoticed, as in
         the source.
     """
-    gbuffer = frame.gbuffer
+    return _warp(key, frame.scene.mesh, frame.gbuffer, params)
+
+
+@jax.jit
+def _warp(key: Key, mesh: Mesh, gbuffer: GBuffer, params: Params) -> tuple[Reflection, Float[Array, ""]]:
     uv, valid = seen_before(gbuffer, key.camera, key.p, key.object, params.tolerance)
-    valid = valid & reflective(gbuffer) & ~_has_moved(key, frame)
+    valid = valid & reflective(gbuffer) & ~_has_moved(key, mesh, gbuffer)
     kept = jnp.concatenate([key.radiance, key.wi, key.reflected], -1)
     kept, valid = read_reflection(uv, valid, kept, key.known)
     radiance, wi, reflected = kept[..., :3], kept[..., 3:6], kept[..., 6:]
@@ -73,11 +79,10 @@ def warp(key: Key, frame: Frame, params: Params) -> tuple[Reflection, Float[Arra
         p=jnp.where(hit[..., None], reflected, 0),
         t=jnp.where(hit, norm(reflected - gbuffer.p), 0),
     )
-    return reflection, (turned * valid).sum() / jnp.maximum(valid.sum(), 1)
+    return reflection, jnp.where(valid, turned, 0).sum() / jnp.maximum(valid.sum(), 1).astype(jnp.float32)
 
 
-def _has_moved(key: Key, frame: Frame) -> Bool[Array, "h w"]:
+def _has_moved(key: Key, mesh: Mesh, gbuffer: GBuffer) -> Bool[Array, "h w"]:
     """Pixels whose triangle is not where it was."""
-    mesh, triangle = frame.scene.mesh, jnp.maximum(frame.gbuffer.triangle, 0)
-    corners = mesh.faces[triangle]
+    corners = mesh.faces[jnp.maximum(gbuffer.triangle, 0)]
     return (mesh.vertices[corners] != key.vertices[corners]).any((-1, -2))
