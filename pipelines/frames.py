@@ -14,7 +14,7 @@ from jaxrefl._types import Frame, Reflection
 from jaxrefl.composite import blend, tone_map
 from jaxrefl.surface import reflective
 from pipelines.job import Job
-from pipelines.layers import frame_channels, rgb_channels
+from pipelines.layers import frame_channels, rgb_channels, technique_channels
 from pipelines.measure import Timed, rows, timed
 from pipelines.outputs import exr_bytes, json_text, png_bytes
 from pipelines.reference_folder import given_files
@@ -148,7 +148,10 @@ def _files(stage: Stage, finished: _Finished, reference: np.ndarray | None, comm
     if ".exr" in wanted:
         files[".exr"] = exr_bytes(rgb_channels(image), mark)
     if ".layers.exr" in wanted:
-        files[".layers.exr"] = exr_bytes(frame_channels(image, gbuffer, diffuse, reflection), mark)
+        files[".layers.exr"] = exr_bytes(
+            frame_channels(image, gbuffer, diffuse, reflection) | technique_channels(finished.step.value[2].layers),
+            mark,
+        )
     shared = {**finished.view.seconds, "composite": composed.seconds}
     facts = {**_facts(stage, finished), "shared": shared, "stamp": stamp(job, command=command)}
     against = image if finished.technique == REFERENCE else reference

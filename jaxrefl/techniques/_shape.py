@@ -22,6 +22,11 @@ class Info(eqx.Module):
     counts: Mapping[str, int | float | Shaped[Array, ""]]
     """The technique's own counts, by name (overflow, recomputed pixels, clusters, ...)."""
 
+    @property
+    def layers(self) -> dict[str, Shaped[Array, "h w ..."]]:
+        """Images of its own that belong beside the picture, by layer name: [h w], or [h w 2] for vectors (x, y)."""
+        return {}
+
 
 class Technique(NamedTuple):
     """A technique as the runner sees it."""

@@ -4,7 +4,7 @@ import dataclasses
 import enum
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxrefl._types import Camera
 from jaxrefl.techniques import _shape
@@ -220,3 +220,8 @@ class Info(_shape.Info):
     0 where the pixel was not reused."""
     taken_from: Int[Array, "h w"]
     """From where a pixel was taken, a `Taken` code; `flow` leads to that frame."""
+
+    @property
+    def layers(self) -> dict[str, Shaped[Array, "h w ..."]]:
+        """Specular flow, and the codes."""
+        return {"specular_flow": self.flow, "reuse_reason": self.reason, "taken_from": self.taken_from}
