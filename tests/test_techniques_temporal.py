@@ -1,4 +1,4 @@
-"""Reflection reprojection and naive warping as techniques: exact without motion, never a hidden point, never a ghost."""
+"""Reprojection and naive warping as techniques: exact without motion, never a hidden point, never a ghost."""
 
 import dataclasses
 

@@ -1,7 +1,7 @@
 """Reflection reprojection in NumPy float64, from the paper: slow and obvious. Loops over pixels, nothing shared.
 
-[XWD17] §3.2 with two corrections: line 3 of Algorithm 2 back-projects the primary depth, and "reflected position" is the
-surface point plus the mirror direction times the reflected distance.
+[XWD17] §3.2 with two corrections: line 3 of Algorithm 2 back-projects the primary depth, and "reflected position" is
+the surface point plus the mirror direction times the reflected distance.
 """
 
 import numpy as np
