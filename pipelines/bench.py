@@ -29,7 +29,7 @@ from pipelines.bench_main_job import run_main_job
 from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
 from pipelines.bench_path import bench_path
 from pipelines.bench_stability import bench_stability
-from pipelines.bench_temporal import compare_errors, compare_times, growth, open_path, plot_sweep, sweep
+from pipelines.bench_temporal import compare_errors, compare_times, open_path, plot_sweep, reuse_growth, sweep
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
@@ -318,7 +318,7 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
             plot_sweep(knobs, arguments.out / "temporal.png")
             add([], [], [], knobs)
     sides, triangles = ((64,), (1000,)) if arguments.quick else ((256, 512, 1024), TRIANGLES)
-    add([], [], [], [], growth(sides, triangles))
+    add([], [], [], [], reuse_growth(sides, triangles))
 
 
 _OTHERS = {

@@ -1,8 +1,8 @@
 """Reprojected reflections against tracing, naive warping and environment maps, along camera paths.
 
 Errors are measured where light has no noise: from a light map, one mirror ray per pixel, over the pixels that reflect,
-on the picture as displayed. Times are taken in the same run for three kinds of light: that map, one direct light sample,
-and 16 paths per pixel. Every step is run again if JAX compiled during it, so times are those of steady running.
+on the picture as displayed. Times are taken in the same run for three kinds of light: that map, one direct light
+sample, and 16 paths per pixel. Every step is run again if JAX compiled during it, so times are those of steady running.
 """
 
 import dataclasses
@@ -46,6 +46,7 @@ SWEEP: dict[str, tuple[Any, ...]] = {
     "stride": (1, 2, 4),
     "start": ("previous", "surface"),
     "occlusion": ("rays", "depths"),
+    "edges": ("ray", "trace"),
     "recent": (True, False),
     "method": ("refined", "as_published"),
 }
@@ -238,7 +239,7 @@ def sweep(path: Route) -> Rows:
     ]
 
 
-def growth(sides: tuple[int, ...], triangles: tuple[int, ...], *, scene: str = "mirror_room") -> Rows:
+def reuse_growth(sides: tuple[int, ...], triangles: tuple[int, ...], *, scene: str = "mirror_room") -> Rows:
     """Time of everything but tracing, by pixels and by triangles.
 
     Args:

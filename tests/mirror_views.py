@@ -126,6 +126,7 @@ def view(mirror: Mirror, camera: Camera) -> tuple[GBuffer, ReflectionBuffer]:
         connected=met & jnp.roll(met, -1, 0) & jnp.roll(met, -1, 1) & jnp.roll(met, (-1, -1), (0, 1)),
         seen=colour,
         error=zero,
+        steepness=zero,
         bend_x=zero,
         bend_y=zero,
     )

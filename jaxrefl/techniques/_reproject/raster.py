@@ -128,7 +128,7 @@ def _first(x: tuple[Array, ...]) -> Int[Array, "n"]:
 
 
 def _scatter(
-    flat: _Flat, order: Array, count: Array, window: int, objects: Array, shape: tuple[int, int], image: Array,
+    flat: _Flat, order: Array, count: Array, window: int, objects: Array, shape: tuple[int, ...], image: Array,
     nearest: Array | None,
 ) -> Array:  # fmt: skip
     """One scatter over `count` triangles: depths into an image, or (with `nearest`) numbers of the winners."""
@@ -168,7 +168,7 @@ def _inside(x: tuple[Array, ...], y: tuple[Array, ...], px: Array, py: Array) ->
     return (low >= -slack) | (high <= slack)
 
 
-def _resolve(flat: _Flat, winner: Array, none: int, shape: tuple[int, int], stride: int) -> tuple[Array, Array]:
+def _resolve(flat: _Flat, winner: Array, none: int, shape: tuple[int, ...], stride: int) -> tuple[Array, Array]:
     """Source coordinates from the winning triangles, by their barycentric weights."""
     valid = winner < none
     number = jnp.where(valid, winner, 0)

@@ -40,7 +40,7 @@ class Footprint(eqx.Module):
         return gx * gy, self.fx * gy, gx * self.fy, self.fx * self.fy
 
 
-def footprint(uv: Float[Array, "n 2"], *, shape: tuple[int, int], snap: float = 0.0) -> Footprint:
+def footprint(uv: Float[Array, "n 2"], *, shape: tuple[int, ...], snap: float = 0.0) -> Footprint:
     """The pixels around coordinates.
 
     Args:

@@ -1,7 +1,7 @@
 """Reflection buffers: a traced frame -> what later frames need of it.
 
 Source: [XWD17] §3.1, B.1 to B.4.
-Differs from the source: the specular factor B.2 is not kept, since each frame's own G-buffer has it; the reflected thing's
+Differs from the source: the specular factor B.2 is not kept, since each frame's own G-buffer has it; the reflected
 triangle is, so that what moves is known.
 """
 
@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from jaxrefl._types import Camera, Frame, GBuffer, Mesh, Scene
 from jaxrefl.surface import mirror_direction
 from jaxrefl.techniques._tracing import Traced
-from jaxrefl.techniques.temporal.cells import bends, connections
+from jaxrefl.techniques.temporal.cells import bends, connections, steepness
 from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer
 
 
@@ -70,6 +70,7 @@ def _keep(
     seen = reached.colour if noisy else reflection.radiance
     flat = smooth & ~reached.changing if noisy else smooth
     bend_x, bend_y = bends(jnp.where(flat[..., None], seen, 0), right, down, reflection.valid)
+    steep = steepness(seen, reflected, right, down, reflection.valid)
     return ReflectionBuffer(
         camera=camera,
         vertices=mesh.vertices,
@@ -87,6 +88,7 @@ def _keep(
         connected=connected,
         seen=seen,
         error=error,
+        steepness=steep,
         bend_x=bend_x,
         bend_y=bend_y,
     )

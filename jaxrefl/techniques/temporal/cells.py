@@ -1,7 +1,7 @@
 """What lies between the pixels of a key frame: where they show one smooth thing, and how far colours bend there.
 
-Bilinear values are right where the surface and its colour are nearly linear over a pixel. Where they are not, the expected
-error follows from second differences; where neighbours show different things, there is no value between them at all.
+Bilinear values are right where the surface and its colour are nearly linear over a pixel. Where they are not, the
+expected error follows from second differences; where neighbours show different things, there is no value between them.
 """
 
 import jax.numpy as jnp
@@ -11,8 +11,8 @@ from jaxrefl._types import Mesh
 from jaxrefl.core import cross, dot, largest
 from jaxrefl.core.safe import norm, normalise
 
-_STEEPEST = 0.5
-"""Sine of the angle between a chord and the surface at its ends above which it leaves the surface: over an edge or gap."""
+STEEPEST = 0.5
+"""Sine of the angle between a chord and the surface at its ends above which it leads over an edge or a gap."""
 
 
 def connections(
@@ -26,8 +26,8 @@ def connections(
         triangle: Reflected triangles, -1 for the environment.
         valid: Where there is a reflection.
     Returns:
-        Whether each pixel is connected to its right neighbour, to the one below, and whether the four pixels of which it
-            is the upper left corner are all connected. False in the last column or row.
+        Whether each pixel is connected to its right neighbour, to the one below, and whether the four pixels of which
+            it is the upper left corner are all connected. False in the last column or row.
     """
     corners = mesh.vertices[mesh.faces[jnp.maximum(triangle, 0)]]
     normal = normalise(cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]))
@@ -40,13 +40,47 @@ def connections(
 
         chord = after(point) - point
         steep = jnp.maximum(jnp.abs(dot(chord, normal)), jnp.abs(dot(chord, after(normal))))
-        on_surface = (w == 0) | (steep <= _STEEPEST * norm(chord))
+        on_surface = (w == 0) | (steep <= STEEPEST * norm(chord))
         same = (thing == after(thing)) & (w == after(w)) & on_surface
         inner = jnp.arange(valid.shape[axis]) < valid.shape[axis] - 1
         return valid & after(valid) & same & (inner[None, :] if axis == 1 else inner[:, None])
 
     right, down = joined(1), joined(0)
     return right, down, right & down & jnp.roll(right, -1, 0) & jnp.roll(down, -1, 1)
+
+
+def steepness(
+    colour: Float[Array, "h w 3"],
+    reflected: Float[Array, "h w 4"],
+    right: Bool[Array, "h w"],
+    down: Bool[Array, "h w"],
+    valid: Bool[Array, "h w"],
+) -> Float[Array, "h w"]:
+    r"""How steeply a colour changes with the place on what is reflected, at most.
+
+    $$ \max_n \frac{|c - c_n|}{|R - R_n|\,(c + \bar c)} $$
+
+    over the connected neighbours n.
+
+    Args:
+        colour: Radiance, or base colours.
+        reflected: Reflected points.
+        right: Pixels connected to their right neighbour.
+        down: Pixels connected to the one below.
+        valid: Where the colour counts towards the mean.
+    Returns:
+        Relative change per world unit; infinite where no neighbour is connected.
+    """
+    brightness = largest(colour)
+    mean = jnp.where(valid, brightness, 0).sum() / jnp.maximum(valid.sum(), 1).astype(jnp.float32)
+    scale = brightness + mean
+    found = jnp.full(valid.shape, -1.0)
+    for joined, axis in ((right, 1), (down, 0)):
+        change = largest(jnp.abs(jnp.roll(colour, -1, axis) - colour))
+        length = norm(jnp.roll(reflected[..., :3], -1, axis) - reflected[..., :3])
+        rate = jnp.where(joined, change / jnp.where(length > 0, length, 1), -1)
+        found = jnp.maximum(found, jnp.maximum(rate, jnp.roll(rate, 1, axis)))
+    return jnp.where(found < 0, jnp.inf, found / jnp.where(scale > 0, scale, 1))
 
 
 def bends(
@@ -62,8 +96,8 @@ def bends(
         down: Pixels connected to the one below.
         valid: Where the colour counts towards the mean.
     Returns:
-        Bend along x and along y of the cell with this upper left corner. Differences across what is not connected do not
-            count; where none is left, the first difference stands in.
+        Bend along x and along y of the cell with this upper left corner. Differences across what is not connected do
+            not count; where none is left, the first difference stands in.
     """
     brightness = largest(colour)
     mean = jnp.where(valid, brightness, 0).sum() / jnp.maximum(valid.sum(), 1).astype(jnp.float32)

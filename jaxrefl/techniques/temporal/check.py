@@ -1,7 +1,7 @@
 """Whether a place in the key frame may be taken for a pixel: Refined + key frame -> Proposal.
 
-One test per way in which reuse can be wrong: the point is not on the mirror ray, it lies between two things, the colours
-around it differ too much, it looks different from here, something hides it. What passes has an expected error.
+One test per way in which reuse can be wrong: the point is not on the mirror ray, it lies between two things, the
+colours around it differ too much, it looks different from here, something hides it. What passes has an expected error.
 
 Beyond [XWD17], whose mask only knows gaps and magnified triangles: its Fig. 9 shows what that misses.
 """

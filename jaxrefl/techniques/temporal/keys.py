@@ -1,4 +1,4 @@
-"""Key frames as a run goes on: which ones are at hand, tracing the next one ahead of time, a new one in place of the old.
+"""Key frames as a run goes on: which are at hand, tracing the next one ahead of time, a new one in place of the old.
 
 State + Frame -> State.
 """

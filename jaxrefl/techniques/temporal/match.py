@@ -5,8 +5,8 @@ seen at some image position. Where that position is the pixel itself, the point 
 
     F(q) = project(M(R; W(q), n(q))) - q = 0.
 
-For a plane F is linear, so one step is the closed form; for curved mirrors a few Newton steps follow. Searches that have
-not ended after `steps` are compacted and go on for `late_steps`.
+For a plane F is linear, so one step is the closed form; for curved mirrors a few Newton steps follow. Searches that
+have not ended after `steps` are compacted and go on for `late_steps`.
 
 Source: [XWD17] §3.2.1, the distance function of Fig. 4.
 Differs from the source: it searches the new image, whose G-buffer is exact, instead of the old one; the distance is in

@@ -1,4 +1,4 @@
-"""From what key frames offer to the finished reflection: what to trace, within the budget, and where each pixel is from.
+"""From what key frames offer to the image: what to take, what to trace within the budget, where each pixel is from.
 
 Proposal + Frame -> mask of pixels to trace, Traced, Reflection.
 """

@@ -1,8 +1,8 @@
-"""Pixel matching as published: neighbourhood search in the key frame for the mirror that shows a point to the new eye.
+"""Pixel matching as published: neighbourhood search in the key frame for the mirror that shows a point to a new eye.
 
-Key frame + new eye -> offset per key-frame pixel, and why a search failed. Each pixel of the key frame is a small mirror
-with a tangent plane; a candidate is as good as the line from the mirror image M through its surface point W comes near to
-the new eye E:
+Key frame + new eye -> offset per key-frame pixel, and why a search failed. Each pixel of the key frame is a small
+mirror with a tangent plane; a candidate is as good as the line from the mirror image M through its surface point W comes
+near to the new eye E:
 
     d(n) = |(E - W_n) x m| / |m|,   m = W_n - M = mirrored offset of R.
 
@@ -39,8 +39,8 @@ def match_pixels(
         options: `search_steps`, `block`.
     Returns:
         Offsets (x, y) in whole pixels, and a `Reason` per pixel: REUSED where a match was found.
-    Edge cases: candidates of another object, or outside the buffer, cannot win; a search that ends on the image's border
-        counts as having left it.
+    Edge cases: candidates of another object, or outside the buffer, cannot win; a search that ends on the image's
+        border counts as having left it.
     Source: [XWD17] Algorithm 2.
     """
     shape = (*buffer.t.shape, 2)

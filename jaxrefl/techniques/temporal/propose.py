@@ -13,6 +13,7 @@ from jaxrefl.surface import reflective
 from jaxrefl.techniques._reproject import same_camera, seen_before
 from jaxrefl.techniques.temporal.buffer import as_of
 from jaxrefl.techniques.temporal.check import judge, unhidden
+from jaxrefl.techniques.temporal.edges import seek_edges
 from jaxrefl.techniques.temporal.keys import is_still
 from jaxrefl.techniques.temporal.match import search as search_forward
 from jaxrefl.techniques.temporal.merge import as_kept, nothing_offered
@@ -119,7 +120,8 @@ def propose(
     refined = refine(buffer, frame.gbuffer, uv, covered, options=options)
     proposal = jax.block_until_ready(judge(buffer, frame.gbuffer, refined, covered, moved, params))
     times.append(time.perf_counter())
-    proposal = jax.block_until_ready(unhidden(proposal, frame, options=options))
+    proposal = unhidden(proposal, frame, options=options)
+    proposal = jax.block_until_ready(seek_edges(proposal, refined.uv, buffer, frame, params, options=options))
     times.append(time.perf_counter())
     names = ("search", "shift", "refine", "check")
     seconds = {name: b - a for name, a, b in zip(names, times, times[1:], strict=False)}

@@ -38,8 +38,8 @@ def propose_as_published(
         options: `search_steps`, `start`, `block`.
     Returns:
         The proposal, the search for the next frame, and seconds for `search`, `shift`, `warp`.
-    Edge cases: rough reflections are traced. There is no test of occlusion, as published: points that are hidden now may
-        be shown (the paper's Fig. 9).
+    Edge cases: rough reflections are traced. There is no test of occlusion, as published: points that are hidden now
+        may be shown (the paper's Fig. 9).
     Source: [XWD17] §3.2, §3.3.
     Differs from the source: the depth warp looks back from the new G-buffer.
     """

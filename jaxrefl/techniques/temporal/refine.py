@@ -5,8 +5,8 @@ the mirror direction w and the bilinear reflected point R(u, v) of the key frame
 
     r(u, v) = ((R - W') . a, (R - W') . b) / ((R - W') . w) = 0,
 
-a and b perpendicular to w: the tangent of the angle between the ray and the point. Gauss-Newton, 2 x 2 by hand. The last
-step that would still follow is the residual, in key-frame pixels.
+a and b perpendicular to w: the tangent of the angle between the ray and the point. Gauss-Newton, 2 x 2 by hand. The
+last step that would still follow is the residual, in key-frame pixels.
 
 Beyond [XWD17], which takes what its mesh shows: there the interpolated offsets decide, here the law of reflection does.
 """
@@ -75,14 +75,14 @@ _flat = jax.jit(components)
 
 @functools.partial(jax.jit, static_argnums=(1, 5))
 def _refine_block(
-    image: tuple[Array, ...], shape: tuple[int, int], gbuffer: GBuffer, uv: Array, index: Array, steps: int
+    image: tuple[Array, ...], shape: tuple[int, ...], gbuffer: GBuffer, uv: Array, index: Array, steps: int
 ) -> Refined:
     points = take_block(gbuffer, index)
     return gauss_newton(image, shape, points, take_block(uv, index), steps=steps)
 
 
 def gauss_newton(
-    image: tuple[Array, ...], shape: tuple[int, int], points: GBuffer, start: Float[Array, "n 2"], *, steps: int
+    image: tuple[Array, ...], shape: tuple[int, ...], points: GBuffer, start: Float[Array, "n 2"], *, steps: int
 ) -> Refined:
     """Places in the key frame whose reflected points lie on mirror rays.
 
@@ -124,7 +124,7 @@ def _split(x: Float[Array, "n 3"]) -> Triple:
 
 
 def _step(
-    image: tuple[Array, ...], shape: tuple[int, int], p: Triple, axes: tuple[Triple, Triple, Triple], u: Array, v: Array
+    image: tuple[Array, ...], shape: tuple[int, ...], p: Triple, axes: tuple[Triple, Triple, Triple], u: Array, v: Array
 ) -> tuple[Array, Array, Array, Array]:
     """The Gauss-Newton step from (u, v), the tangent of the angle there, and whether the step is defined."""
     at = footprint(jnp.stack([u, v], -1), shape=shape, snap=SNAP)

@@ -1,7 +1,7 @@
 """From searched pixels to every pixel: the key frame as a grid mesh, drawn where its reflected points are seen now.
 
-Search -> key-frame coordinate per pixel. The reflection that is nearer along the whole way, eye to mirror to point, is in
-front, as in a mirror.
+Search -> key-frame coordinate per pixel. The reflection that is nearer along the whole way, eye to mirror to point, is
+in front, as in a mirror.
 
 Source: [XWD17] §3.2.2 and §3.3.
 Differs from the source: shifting and warping are one drawing, since the search ends in the new image. What is drawn is

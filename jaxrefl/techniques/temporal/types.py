@@ -94,6 +94,11 @@ class Options(KeyOptions):
     occlusion: str = option(
         "rays", "What finds hidden points: a shadow ray, or depths alone.", choices=("rays", "depths")
     )
+    edges: str = option(
+        "ray",
+        "Pixels at the edges of what is reflected: ask a ray what they show, or trace.",
+        choices=("ray", "trace"),
+    )
     start: str = option(
         "previous",
         "Where a search starts: the previous frame's result, or the surface.",
@@ -156,6 +161,8 @@ class ReflectionBuffer(eqx.Module):
     """What contrast is judged by: the radiance, or where that has noise the base colour of what is reflected."""
     error: Float[Array, "h w"]
     """Expected relative error of the radiance itself; 0 where it was traced."""
+    steepness: Float[Array, "h w"]
+    """Largest relative change of colour per world unit on what is reflected; infinite where it is not known."""
     bend_x: Float[Array, "h w"]
     """Relative second difference of colours along x in that cell."""
     bend_y: Float[Array, "h w"]
@@ -216,8 +223,8 @@ class Info(_shape.Info):
     reason: Int[Array, "h w"]
     """A `Reason` per pixel."""
     flow: Float[Array, "h w 2"]
-    """Specular flow: where the reflected point was seen in the frame it was taken from minus where it is seen now, (x, y) in pixels;
-    0 where the pixel was not reused."""
+    """Specular flow: where the reflected point was seen in the frame it was taken from minus where it is seen now,
+    (x, y) in pixels; 0 where the pixel was not reused. At edges, to a pixel's accuracy."""
     taken_from: Int[Array, "h w"]
     """From where a pixel was taken, a `Taken` code; `flow` leads to that frame."""
 
