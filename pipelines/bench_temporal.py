@@ -151,10 +151,10 @@ class _Errors:
 
     def add(self, seen: Looked, mine: Reflection, traced: Reflection) -> None:
         gbuffer = seen.frame.gbuffer
-        pictures = [np.asarray(blend(gbuffer, seen.diffuse, r)) for r in (mine, traced)]
+        image, truth = (np.asarray(blend(gbuffer, seen.diffuse, r)) for r in (mine, traced))
         for found, mask in ((self.all, reflective(gbuffer)), (self.mirrors, _mirrors(gbuffer))):
             if np.asarray(mask).any():
-                found.append(mae255(*pictures, np.asarray(mask)))
+                found.append(mae255(image, truth, np.asarray(mask)))
 
     def columns(self) -> dict[str, float | None]:
         names = {"MAE of 255": self.all, "MAE of 255, mirrors": self.mirrors}

@@ -1,8 +1,8 @@
 """Pixel matching as published: neighbourhood search in the key frame for the mirror that shows a point to a new eye.
 
 Key frame + new eye -> offset per key-frame pixel, and why a search failed. Each pixel of the key frame is a small
-mirror with a tangent plane; a candidate is as good as the line from the mirror image M through its surface point W comes
-near to the new eye E:
+mirror with a tangent plane; a candidate is the better the nearer the line from the mirror image M through its surface
+point W comes to the new eye E:
 
     d(n) = |(E - W_n) x m| / |m|,   m = W_n - M = mirrored offset of R.
 

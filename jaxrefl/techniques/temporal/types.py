@@ -201,19 +201,19 @@ class State(eqx.Module):
 class Proposal(eqx.Module):
     """What a key frame offers for each pixel."""
 
-    uv: Float[Array, "h w 2"]
+    uv: Float[Array, "*b 2"]
     """Coordinate in the key frame, pixels; fill 0."""
-    reason: Int[Array, "h w"]
+    reason: Int[Array, "*b"]
     """REUSED where the pixel may be taken, else why not."""
-    error: Float[Array, "h w"]
+    error: Float[Array, "*b"]
     """Expected relative error of the radiance; fill 0."""
-    radiance: Float[Array, "h w 3"]
+    radiance: Float[Array, "*b 3"]
     """Reflected radiance; fill 0 where there is none."""
-    reflected: Float[Array, "h w 4"]
+    reflected: Float[Array, "*b 4"]
     """Reflected point or direction; fill 0."""
-    triangle: Int[Array, "h w"]
+    triangle: Int[Array, "*b"]
     """Reflected triangle of the nearest pixel; -1 for the environment; fill -1."""
-    seen: Float[Array, "h w 3"]
+    seen: Float[Array, "*b 3"]
     """What contrast is judged by; fill 0."""
 
 
