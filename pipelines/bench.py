@@ -29,7 +29,16 @@ from pipelines.bench_main_job import run_main_job
 from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
 from pipelines.bench_path import bench_path
 from pipelines.bench_stability import bench_stability
-from pipelines.bench_temporal import compare_errors, compare_times, open_path, plot_sweep, reuse_growth, sweep
+from pipelines.bench_temporal import (
+    INNER,
+    PLAIN,
+    compare_errors,
+    compare_times,
+    open_path,
+    plot_sweep,
+    reuse_growth,
+    sweep,
+)
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
@@ -307,17 +316,20 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
         _write(arguments.out, "temporal", argv, sections, [command])
 
     for number, name in enumerate(arguments.temporal):
-        path = open_path(name, (side, side), frames, loop, texels=4096 if arguments.quick else 2**17)
+        path = open_path(
+            name, (side, side), frames, loop, texels=4096 if arguments.quick else 2**15 * (side // 512 + 1)
+        )
         rows, stages = compare_errors(path)
         add(rows, [], stages)
-        for light in ("direct", "path"):
-            rows, stages = compare_times(path, light, every=max(frames // 8, 1))
+        for light, variants, count in (("direct", PLAIN, frames), ("path", INNER, max(frames // 3, 2))):
+            part = path._replace(frames=path.frames[:count])
+            rows, stages = compare_times(part, light, variants, every=max(count // 3, 1))
             add([], rows, stages)
         if number == 0:
             knobs = sweep(path._replace(frames=path.frames[:12]))
             plot_sweep(knobs, arguments.out / "temporal.png")
             add([], [], [], knobs)
-    sides, triangles = ((64,), (1000,)) if arguments.quick else ((256, 512, 1024), TRIANGLES)
+    sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
     add([], [], [], [], reuse_growth(sides, triangles))
 
 

@@ -37,6 +37,9 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "envmap": ("envmap", {}),
 }
 """What is compared with ray tracing, and its knobs."""
+PLAIN: dict[str, dict[str, Any]] = {"temporal": {}}
+INNER = PLAIN | {"temporal, inner reused": {"inner": "reuse"}}
+"""Variants whose time is taken: as it is, and with mirrors in mirrors reused as in the paper."""
 SWEEP: dict[str, tuple[Any, ...]] = {
     "contrast": (0.01, 0.03, 0.1, 0.3),
     "tolerance": (0.02, 0.1, 0.5),
@@ -138,7 +141,7 @@ class _Runner:
     def stages(self) -> dict[str, float]:
         """Mean milliseconds of each stage over the frames that are no key frames."""
         between = [i for i in self.infos if not i.counts["key_frame"]] or self.infos
-        names = dict.fromkeys(name for info in between for name in info.seconds)
+        names = dict.fromkeys(name for info in self.infos[::-1] for name in info.seconds)
         return {name: 1e3 * statistics.fmean(i.seconds.get(name, 0.0) for i in between) for name in names}
 
 
@@ -190,31 +193,40 @@ def compare_errors(path: Route) -> tuple[Rows, Rows]:
     for label, runner in runners.items():
         row = facts | {"method": label} | errors[label].columns() | runner.row(label)
         rows.append(row | {"speed-up": base / statistics.fmean(runner.seconds)})
-    return rows, [{"scene": name, "light": "baked"} | runners["temporal"].stages()]
+    return rows, [{"scene": name, "light": "map", "method": "temporal"} | runners["temporal"].stages()]
 
 
-def compare_times(path: Route, light: str, *, every: int) -> tuple[Rows, Rows]:
+def compare_times(
+    path: Route, light: str, variants: Mapping[str, Mapping[str, Any]], *, every: int
+) -> tuple[Rows, Rows]:
     """Times of `temporal` and of ray tracing with other light.
 
     Args:
         path: The path.
         light: `direct` (one sample) or `path` (`SAMPLES` paths).
+        variants: Further knobs of `temporal`, by label.
         every: Frames from one that is also traced whole to the next.
     Returns:
-        A row with both times and their ratio, and the stages of `temporal`.
+        A row per variant with both times and their ratio, and the stages of `temporal`.
     """
     knobs = {"light": light, "samples": SAMPLES if light == "path" else 1}
-    truth, mine = _Runner(path, "raytrace", knobs), _Runner(path, "temporal", knobs)
+    truth = _Runner(path, "raytrace", knobs)
+    mine = {label: _Runner(path, "temporal", knobs | dict(more)) for label, more in variants.items()}
     for number, seen in enumerate(_looked(path)):
         if number % every == 0:
             truth.step(seen.frame)
-        mine.step(seen.frame)
-    row = mine.row("temporal")
+        for runner in mine.values():
+            runner.step(seen.frame)
     traced = 1e3 * statistics.fmean(truth.seconds)
     name = path.stage.scene.names.scene
     label = f"path, {SAMPLES} samples" if light == "path" else "direct, 1 sample"
-    rows = [{"scene": name, "light": label, "raytrace ms": traced, **row, "speed-up": traced / row["ms per frame"]}]
-    return rows, [{"scene": name, "light": label} | mine.stages()]
+    facts, rows, stages = {"scene": name, "light": label}, [], []
+    for variant, runner in mine.items():
+        row = runner.row(variant)
+        rows.append(facts | {"frames": len(path.frames), "raytrace ms": traced} | row)
+        rows[-1]["speed-up"] = traced / row["ms per frame"]
+        stages.append(facts | {"method": variant} | runner.stages())
+    return rows, stages
 
 
 def sweep(path: Route) -> Rows:

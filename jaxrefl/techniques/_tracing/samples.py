@@ -9,12 +9,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._status import Source
 from jaxrefl._types import GBuffer, Rays, Reflection, Scene
+from jaxrefl.core import largest
 from jaxrefl.radiance.incoming import Incoming, IncomingOptions
 from jaxrefl.rays import offset_origin
-from jaxrefl.surface import reflective, refractive, sample_reflection, sample_refraction
+from jaxrefl.surface import reflective, refractive, sample_reflection, sample_refraction, specular_colour
 
 _R2 = (0.7548776662466927, 0.5698402909980532)
 """Generators of the R2 sequence [Roberts18]: samples of one pixel stay apart at any count."""
+
+
+CHANGING = 0.1
+"""Reflectance at normal incidence above which a surface that is followed counts as a mirror; dielectrics have less."""
 
 
 class Reached(eqx.Module):
@@ -25,7 +30,8 @@ class Reached(eqx.Module):
     colour: Float[Array, "*b 3"]
     """Base colour and emission of what was hit, averaged over the samples that hit; without noise; fill 0."""
     changing: Bool[Array, "*b"]
-    """True where what was hit looks different from elsewhere: a mirror or glass that was followed further."""
+    """True where what was hit looks different from elsewhere: glass, or a mirror of more than `CHANGING`, that was
+    followed further."""
 
 
 class Sums(eqx.Module):
@@ -113,7 +119,7 @@ def add_sample(sums: Sums, weight: Float[Array, "n"], light: Incoming, *, option
     colour = first.base_colour if first.emission is None else first.base_colour + first.emission
     all_light = options.light.model == "path"
     follows = (refractive(first) & (all_light or options.interfaces > 0)) | (
-        reflective(first) & (all_light or options.bounces > 0)
+        (largest(specular_colour(first)) > CHANGING) & reflective(first) & (all_light or options.bounces > 0)
     )
     reached = Reached(
         triangle=jnp.where(counts, first.triangle, sums.reached.triangle),

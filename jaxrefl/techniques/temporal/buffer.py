@@ -36,7 +36,7 @@ def is_noisy(scene: Scene, options: Options) -> bool:
     return options.light == "path" or lights.area is not None or lights.environment is not None
 
 
-def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool) -> ReflectionBuffer:
+def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Options) -> ReflectionBuffer:
     r"""The reflection buffer of a traced frame.
 
     $$ R = W + r\, \omega_i $$
@@ -45,7 +45,7 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool
         frame: The frame.
         image: Its reflections.
         error: Expected relative error of each; 0 where it was traced.
-        noisy: True: contrast is that of what is hit, not of its light.
+        options: `noise`, `light`: what contrast is judged by; `inner`: whether mirrors in mirrors may be reused.
     Returns:
         The buffer.
     Edge cases: reflections of the environment have a direction in place of a point.
@@ -53,13 +53,15 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, noisy: bool
     Differs from the source: line 3 back-projects the primary depth (the paper's `s.r` there is a slip); positions are
         those of the G-buffer, which are more exact than back-projection, and of mirrors the points that were hit.
     """
-    return _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, noisy)
+    noisy, inner = is_noisy(frame.scene, options), options.inner == "reuse"
+    return _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, (noisy, inner))
 
 
 @functools.partial(jax.jit, static_argnums=5)
 def _keep(
-    camera: Camera, mesh: Mesh, gbuffer: GBuffer, image: Traced, error: Float[Array, "h w"], noisy: bool
+    camera: Camera, mesh: Mesh, gbuffer: GBuffer, image: Traced, error: Float[Array, "h w"], flags: tuple[bool, bool]
 ) -> ReflectionBuffer:
+    noisy, inner = flags
     reflection, reached = image.reflection, image.reached
     wi, smooth = mirror_direction(gbuffer), gbuffer.alpha == 0
     hit = reflection.valid & (reflection.t > 0)
@@ -68,8 +70,7 @@ def _keep(
     reflected = jnp.concatenate([jnp.where(hit[..., None], point, wi), w[..., None]], -1)
     right, down, connected = connections(mesh, reflected, reached.triangle, reflection.valid)
     seen = reached.colour if noisy else reflection.radiance
-    flat = smooth & ~reached.changing if noisy else smooth
-    bend_x, bend_y = bends(jnp.where(flat[..., None], seen, 0), right, down, reflection.valid)
+    bend_x, bend_y = bends(jnp.where(smooth[..., None], seen, 0), right, down, reflection.valid)
     steep = steepness(seen, reflected, right, down, reflection.valid)
     return ReflectionBuffer(
         camera=camera,
@@ -84,7 +85,7 @@ def _keep(
         t_reflected=reflection.t,
         radiance=reflection.radiance,
         triangle=reached.triangle,
-        changing=reached.changing,
+        changing=reached.changing & (not inner),
         connected=connected,
         seen=seen,
         error=error,

@@ -13,7 +13,7 @@ from jaxrefl._types import Frame
 from jaxrefl.surface import look
 from jaxrefl.techniques._reproject import same_camera
 from jaxrefl.techniques._tracing import Traced, nothing_traced, trace_reflected
-from jaxrefl.techniques.temporal.buffer import is_noisy, keep
+from jaxrefl.techniques.temporal.buffer import keep
 from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer, State
 
 
@@ -23,11 +23,11 @@ def key_frame_of(frame: Frame, image: Traced, *, options: Options) -> Reflection
     Args:
         frame: The frame.
         image: Its reflections.
-        options: `noise`, `light`.
+        options: What a key frame keeps.
     Returns:
         The key frame.
     """
-    return keep(frame, image, jnp.zeros_like(frame.gbuffer.t), noisy=is_noisy(frame.scene, options))
+    return keep(frame, image, jnp.zeros_like(frame.gbuffer.t), options=options)
 
 
 def advance(state: State, frame: Frame, *, options: Options) -> State:
@@ -83,8 +83,7 @@ def followed(state: State, frame: Frame, image: Traced, error: Float[Array, "h w
     """
     if not options.recent or options.method == "as_published":
         return state
-    noisy = is_noisy(frame.scene, options)
-    return dataclasses.replace(state, recent=keep(frame, image, error, noisy=noisy))
+    return dataclasses.replace(state, recent=keep(frame, image, error, options=options))
 
 
 def is_still(buffer: ReflectionBuffer, frame: Frame) -> bool:

@@ -109,6 +109,9 @@ class Options(KeyOptions):
     late_steps: int = option(4, "Newton steps for searches that have not ended after `steps`.", low=0, high=64)
     refine_steps: int = option(2, "Gauss-Newton steps from the start to the sub-pixel result.", low=0, high=16)
     spread: int = option(2, "Pixels over which gaps between starts are closed.", low=0, high=8)
+    inner: str = option(
+        "trace", "Mirrors and glass seen in mirrors, if they are followed: trace, or reuse.", choices=("trace", "reuse")
+    )
     noise: str = option(
         "auto",
         "Whether contrast is that of the light, or (noisy light) of base colours.",
