@@ -54,7 +54,9 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Op
         those of the G-buffer, which are more exact than back-projection, and of mirrors the points that were hit.
     """
     noisy, inner = is_noisy(frame.scene, options), options.inner == "reuse"
-    return _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, (noisy, inner))
+    buffer = _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, (noisy, inner))
+    # The very array of the scene: that nothing has moved is then seen without looking at the vertices.
+    return dataclasses.replace(buffer, vertices=frame.scene.mesh.vertices)
 
 
 @functools.partial(jax.jit, static_argnums=5)
