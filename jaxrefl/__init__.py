@@ -53,3 +53,5 @@ from .surface import look as look
 from .techniques import TECHNIQUES as TECHNIQUES
 from .techniques import envmap as envmap
 from .techniques import raytrace as raytrace
+from .techniques import temporal as temporal
+from .techniques import warp as warp

@@ -399,6 +399,8 @@ class Frame(eqx.Module):
     """Random key of this frame."""
     tracer: Tracer = eqx.field(static=True)
     """Ray queries against `scene.mesh`, on the host."""
+    ahead: Camera | None = None
+    """Camera of the next key frame, for techniques that look ahead (`Technique.ahead`); None: it is not known."""
 
 
 Size = Sequence[int]

@@ -29,6 +29,16 @@ from pipelines.bench_main_job import run_main_job
 from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
 from pipelines.bench_path import bench_path
 from pipelines.bench_stability import bench_stability
+from pipelines.bench_temporal import (
+    INNER,
+    PLAIN,
+    compare_errors,
+    compare_times,
+    open_path,
+    plot_sweep,
+    reuse_growth,
+    sweep,
+)
 from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
@@ -217,6 +227,10 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--stability", action="store_true", help="instead: a scene scaled and moved, path traced")
     parser.add_argument("--mitsuba", nargs="+", metavar="SCENE", help="instead: agreement with Mitsuba 3, and speed")
     parser.add_argument("--lightmap", nargs="+", metavar="SCENE", help="instead: errors of light maps in these scenes")
+    parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
+    parser.add_argument("--side", type=int, default=1024, help="width and height of the images (--temporal)")
+    parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal)")
+    parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")
     arguments = parser.parse_args(argv)
     for name, run in _OTHERS.items():
         if getattr(arguments, name):
@@ -285,12 +299,49 @@ def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
         _write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
 
 
+def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
+    side, frames, loop = (64, 4, arguments.loop) if arguments.quick else (
+        arguments.side, arguments.frames, arguments.loop)  # fmt: skip
+    titles = [
+        f"{frames} frames of a loop of {loop}, {side} x {side} pixels, light from a map",
+        "Time against ray tracing with other light",
+        "Milliseconds per stage, frames that are no key frames",
+        "Knobs, one at a time",
+        "Milliseconds of all stages but tracing, by triangles and pixels",
+    ]
+    sections: dict[str, list[dict]] = {title: [] for title in titles}
+
+    def add(*parts: list[dict]) -> None:  # kept as it grows: it takes long
+        for title, rows in zip(titles, parts, strict=False):
+            sections[title] += rows
+        command = f"jaxrefl bench --temporal SCENE ... --side {side} --frames {frames} --loop {loop}"
+        _write(arguments.out, "temporal", argv, sections, [command])
+
+    for number, name in enumerate(arguments.temporal):
+        path = open_path(
+            name, (side, side), frames, loop, texels=4096 if arguments.quick else 2**15 * (side // 512 + 1)
+        )
+        rows, stages = compare_errors(path)
+        add(rows, [], stages)
+        for light, variants, count in (("direct", PLAIN, frames), ("path", INNER, max(frames // 3, 2))):
+            part = path._replace(frames=path.frames[:count])
+            rows, stages = compare_times(part, light, variants, every=max(count // 3, 1))
+            add([], rows, stages)
+        if number == 0:
+            knobs = sweep(path._replace(frames=path.frames[:12]))
+            plot_sweep(knobs, arguments.out / "temporal.png")
+            add([], [], [], knobs)
+    sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
+    add([], [], [], [], reuse_growth(sides, triangles))
+
+
 _OTHERS = {
     "main_job": _main_job,
     "path": _path,
     "stability": _stability,
     "lightmap": _lightmap,
     "mitsuba": _mitsuba,
+    "temporal": _temporal,
 }
 """Benchmarks that a flag asks for, in place of those of speed."""
 

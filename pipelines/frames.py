@@ -14,7 +14,7 @@ from jaxrefl._types import Frame, Reflection
 from jaxrefl.composite import blend, tone_map
 from jaxrefl.surface import reflective
 from pipelines.job import Job
-from pipelines.layers import frame_channels, rgb_channels
+from pipelines.layers import frame_channels, rgb_channels, technique_channels
 from pipelines.measure import Timed, rows, timed
 from pipelines.outputs import exr_bytes, json_text, png_bytes
 from pipelines.reference_folder import given_files
@@ -91,20 +91,35 @@ def render_unit(
     state = prepared.state
     for number in range(unit.first, unit.last + 1):
         view = stage.view(number)
-        step = _step(stage, prepared, state, view, number, unit.technique)
+        step = _step(stage, prepared, state, view, number, unit)
         state = step.value[0]
         if number in unit.missing:
             finished = _Finished(unit.technique, number, view, step, prepared.init_seconds)
             yield _files(stage, finished, references.get(number), command)
 
 
-def _step(stage: Stage, prepared: Prepared, state: Any, view: View, number: int, name: str) -> Timed:
+def _step(stage: Stage, prepared: Prepared, state: Any, view: View, number: int, unit: Unit) -> Timed:
+    name = unit.technique
     # A stream of its own for each technique, and another for the reference, so that no noise is shared.
     key = stage.key(number, zlib.crc32(name.encode()) | 1)
-    frame = Frame(scene=stage.scene, camera=stage.camera(number), gbuffer=view.gbuffer, key=key, tracer=stage.tracer)
+    ahead = _next_key(prepared, number - unit.first)
+    frame = Frame(
+        scene=stage.scene,
+        camera=stage.camera(number),
+        gbuffer=view.gbuffer,
+        key=key,
+        tracer=stage.tracer,
+        ahead=None if ahead is None else stage.camera(min(unit.first + ahead, len(stage.cameras) - 1)),
+    )
     # Long references are not worth a second run for the sake of their time.
     call = lambda: prepared.technique.step(state, frame, prepared.params, options=prepared.options)  # noqa: E731
     return timed(call, repeat=name != REFERENCE)
+
+
+def _next_key(prepared: Prepared, number: int) -> int | None:
+    """Number of the key frame after frame `number` of a unit; None where the technique does not look ahead."""
+    every = 0 if prepared.technique.ahead is None else prepared.technique.ahead(prepared.options)
+    return None if every == 0 else (number // every + 1) * every
 
 
 class _Finished(NamedTuple):
@@ -133,7 +148,10 @@ def _files(stage: Stage, finished: _Finished, reference: np.ndarray | None, comm
     if ".exr" in wanted:
         files[".exr"] = exr_bytes(rgb_channels(image), mark)
     if ".layers.exr" in wanted:
-        files[".layers.exr"] = exr_bytes(frame_channels(image, gbuffer, diffuse, reflection), mark)
+        files[".layers.exr"] = exr_bytes(
+            frame_channels(image, gbuffer, diffuse, reflection) | technique_channels(finished.step.value[2].layers),
+            mark,
+        )
     shared = {**finished.view.seconds, "composite": composed.seconds}
     facts = {**_facts(stage, finished), "shared": shared, "stamp": stamp(job, command=command)}
     against = image if finished.technique == REFERENCE else reference

@@ -4,6 +4,7 @@ Where nothing is seen, or nothing is reflected, a channel holds the fill value o
 (0, 0, 1)); `valid` and `reflected_valid` (1 or 0) say where.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,21 @@ def frame_channels(image: Any, gbuffer: GBuffer, diffuse: Any, reflection: Refle
         planes |= _split(gbuffer.emission, "emission", "RGB")
     if gbuffer.motion is not None:
         planes |= _split(gbuffer.motion, "motion", "XY")
+    return planes
+
+
+def technique_channels(layers: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Channels of a technique's own images.
+
+    Args:
+        layers: `Info.layers`: [h w] planes, or [h w 2] vectors, by name.
+    Returns:
+        [h w] float32 planes by channel name; vectors as `name.X` and `name.Y`.
+    """
+    planes: dict[str, np.ndarray] = {}
+    for name, image in layers.items():
+        values = np.asarray(image, np.float32)
+        planes |= {name: values} if values.ndim == 2 else _split(values, name, "XY")
     return planes
 
 

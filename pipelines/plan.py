@@ -42,18 +42,16 @@ def plan(job: Job, folder: Path, *, techniques: Mapping[str, Technique] = TECHNI
 
 
 def _interval(job: Job, name: str, techniques: Mapping[str, Technique]) -> int:
-    """Frames that must be rendered in order by one process; 1 unless a technique carries state from frame to frame.
-
-    Such a technique has an attribute `interval(options) -> int`: after so many frames it starts afresh from `init`.
-    """
+    """Frames that must be rendered in order by one process; 1 unless a technique carries state from frame to frame."""
     chosen, values = name, job.technique.get(name, {})
     if name == REFERENCE and job.reference is not None:
         if job.reference.folder is not None:
             return 1
         chosen, values = job.reference.technique, job.reference.knobs
     technique = find_technique(chosen, techniques)
-    interval = getattr(technique, "interval", None)
-    return 1 if interval is None else interval(build(technique.Options, values, where=f"[technique.{chosen}]"))
+    if technique.interval is None:
+        return 1
+    return technique.interval(build(technique.Options, values, where=f"[technique.{chosen}]"))
 
 
 def references_of(job: Job, folder: Path, unit: Unit) -> dict[int, np.ndarray]:

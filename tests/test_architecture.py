@@ -54,10 +54,11 @@ def test_the_library_imports_neither_pipelines_nor_scenes(path: Path):
 
 
 def test_techniques_never_import_each_other():
-    techniques = [p for p in (LIBRARY / "techniques").iterdir() if p.is_dir() and (p / "__init__.py").exists()]
-    names = {p.name for p in techniques}
+    """What several of them need lies in folders whose names begin with an underscore, and imports no technique."""
+    folders = [p for p in (LIBRARY / "techniques").iterdir() if p.is_dir() and (p / "__init__.py").exists()]
+    names = {p.name for p in folders if not p.name.startswith("_")}
     assert {"raytrace", "envmap"} <= names
-    for technique in techniques:
+    for technique in folders:
         for path in technique.glob("*.py"):
             others = {
                 parts[2]

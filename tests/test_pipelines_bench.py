@@ -57,6 +57,17 @@ def test_a_quick_benchmark_writes_its_tables(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_quick_benchmark_of_reprojection_writes_its_tables(tmp_path):
+    assert main(["--temporal", "mirror_room", "--quick", "--out", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "temporal.json").read_text())
+    errors = next(rows for title, rows in found.items() if "light from a map" in title)
+    by_method = {row["method"]: row for row in errors}
+    assert by_method["raytrace"]["MAE of 255"] == 0
+    assert by_method["temporal"]["MAE of 255, mirrors"] < by_method["warp"]["MAE of 255, mirrors"]
+    assert (tmp_path / "temporal.png").exists()
+
+
+@pytest.mark.slow
 def test_a_quick_convergence_benchmark_writes_its_table(tmp_path):
     assert main(["--path", "--quick", "--out", str(tmp_path)]) == 0
     (rows,) = (v for k, v in json.loads((tmp_path / "path_convergence.json").read_text()).items() if "Slope" in k)

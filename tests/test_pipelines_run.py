@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -164,6 +165,7 @@ def test_a_run_killed_at_any_write_goes_on_and_ends_the_same(tmp_path, monkeypat
 SCRIPT = """
 import sys, time
 from pathlib import Path
+from typing import NamedTuple
 import test_pipelines_run as t
 slow = t.PLAIN._replace(step=lambda *a, **k: (time.sleep(0.3), t.PLAIN.step(*a, **k))[1])
 t.run_job(t.JOB, Path(sys.argv[1]), quiet=True, techniques={**t.FAKES, "plain": slow})
@@ -257,3 +259,44 @@ def test_a_scene_that_is_broken_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"scene\.ply"):
         run(dataclasses.replace(ONE, scene=SceneSource(str(scene))), tmp_path / "out")
     assert PLAIN.name == "plain"
+
+
+def test_frames_before_a_key_frame_are_told_its_camera(tmp_path):
+    """Every second frame is a key frame, four are handed out at once: each frame looks ahead to the next key frame."""
+    told = []
+
+    def step(state, frame, params, *, options=PLAIN.Options()):  # noqa: B008
+        told.append((float(frame.camera.world_from_camera[0, 3]), float(frame.ahead.world_from_camera[0, 3])))
+        return PLAIN.step(state, frame, params, options=options)
+
+    looking = PLAIN._replace(name="looking", step=step, interval=lambda options: 4, ahead=lambda options: 2)
+    job = dataclasses.replace(ONE, techniques=("looking",), frames=5)
+    run_job(job, tmp_path, quiet=True, techniques={**FAKES, "looking": looking})
+    at = {camera: number for number, (camera, _) in enumerate(dict.fromkeys(told))}
+    assert {(at[camera], at[ahead]) for camera, ahead in told} == {(0, 2), (1, 2), (2, 4), (3, 4), (4, 4)}
+
+
+def test_a_technique_s_own_images_are_in_the_layers(tmp_path):
+    def step(state, frame, params, *, options=PLAIN.Options()):  # noqa: B008
+        state, reflection, info = PLAIN.step(state, frame, params, options=options)
+        flow = np.stack([np.full((6, 8), 1.5), np.full((6, 8), -2.0)], -1)
+        return state, reflection, _WithLayers(info.rays, info.seconds, info.counts, flow)
+
+    drawing = PLAIN._replace(name="drawing", step=step)
+    job = dataclasses.replace(ONE, techniques=("drawing",), frames=1)
+    run_job(job, tmp_path, quiet=True, techniques={**FAKES, "drawing": drawing})
+    planes = read_exr(tmp_path / "drawing" / "frame_0000.layers.exr")
+    assert (planes["flow.X"] == 1.5).all() and (planes["flow.Y"] == -2).all() and (planes["mask"] == 1).all()
+
+
+class _WithLayers(NamedTuple):
+    """What the runner reads of an `Info`, with images."""
+
+    rays: int
+    seconds: dict
+    counts: dict
+    flow: np.ndarray
+
+    @property
+    def layers(self):
+        return {"flow": self.flow, "mask": np.ones((6, 8), bool)}

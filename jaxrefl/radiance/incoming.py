@@ -57,6 +57,8 @@ class Incoming(eqx.Module):
     """First hit, world space; fill 0."""
     t: Float[Array, "n"]
     """Distance to the first hit, world units; fill 0."""
+    first: GBuffer
+    """Everything about the first hit [n]; not valid where `hit` is False."""
 
 
 class _Path(eqx.Module):
@@ -111,7 +113,7 @@ def incoming(
             path = _advance(scene, path, points, light, key_lobe, follow_mirrors > 0)
             if not path.active.any():
                 break
-    return Incoming(path.radiance, first[0].valid, first[0].p, first[0].t)
+    return Incoming(path.radiance, first[0].valid, first[0].p, first[0].t, first[0])
 
 
 def _all_light(
@@ -132,7 +134,7 @@ def _all_light(
         light = path_radiance(scene, tracer, many, jnp.broadcast_to(sequence, shape), numbers, options=paths)
         total = total + light.sum(0)
     radiance = jnp.where(active[:, None], total / options.path_samples, 0)
-    return Incoming(radiance, points.valid, points.p, points.t)
+    return Incoming(radiance, points.valid, points.p, points.t, points)
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))

@@ -2,12 +2,13 @@
 
 from types import ModuleType
 
-from jaxrefl.techniques import envmap, raytrace
+from jaxrefl.techniques import envmap, raytrace, temporal, warp
 from jaxrefl.techniques._shape import Technique
 
 
 def _technique(name: str, summary: str, module: ModuleType) -> Technique:
-    return Technique(name, summary, module.init, module.step, module.Params, module.Options)
+    carried = (getattr(module, name, None) for name in ("interval", "ahead"))
+    return Technique(name, summary, module.init, module.step, module.Params, module.Options, *carried)
 
 
 TECHNIQUES: dict[str, Technique] = {
@@ -15,6 +16,8 @@ TECHNIQUES: dict[str, Technique] = {
     for technique in (
         _technique("raytrace", "Brute force: mirror rays, or n GGX samples, for every reflective pixel.", raytrace),
         _technique("envmap", "Environment mapping: a prefiltered map captured once per reflector or scene.", envmap),
+        _technique("warp", "Naive warping: key frames are traced, reflections stick to surfaces between them.", warp),
+        _technique("temporal", "Reflections reprojected from key frames, traced where that fails.", temporal),
     )
 }
 """Techniques in the order in which a reader should meet them."""

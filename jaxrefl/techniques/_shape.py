@@ -22,6 +22,11 @@ class Info(eqx.Module):
     counts: Mapping[str, int | float | Shaped[Array, ""]]
     """The technique's own counts, by name (overflow, recomputed pixels, clusters, ...)."""
 
+    @property
+    def layers(self) -> dict[str, Shaped[Array, "h w ..."]]:
+        """Images of its own that belong beside the picture, by layer name: [h w], or [h w 2] for vectors (x, y)."""
+        return {}
+
 
 class Technique(NamedTuple):
     """A technique as the runner sees it."""
@@ -38,6 +43,12 @@ class Technique(NamedTuple):
     """Traced knobs."""
     Options: type
     """Static knobs."""
+    interval: Callable[[Any], int] | None = None
+    """`interval(options)`: after so many frames in order a run starts afresh from `init`; None: frames are independent
+    of each other, and `State` carries nothing."""
+    ahead: Callable[[Any], int] | None = None
+    """`ahead(options)`: of how many frames one is a key frame; the frames before it are told its camera, as
+    `Frame.ahead`. 0 or None: they are not."""
 
 
 @jax.jit

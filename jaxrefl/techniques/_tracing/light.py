@@ -3,10 +3,10 @@
 import dataclasses
 
 from jaxrefl.radiance import DirectOptions, IncomingOptions, LightOptions
-from jaxrefl.techniques.raytrace.types import Options
+from jaxrefl.techniques._tracing.options import TraceOptions
 
 
-def following(options: Options) -> IncomingOptions:
+def following(options: TraceOptions) -> IncomingOptions:
     """How a ray of a glossy or refractive lobe is followed.
 
     Args:
@@ -24,7 +24,7 @@ def following(options: Options) -> IncomingOptions:
     return IncomingOptions(bounces=options.bounces, interfaces=options.interfaces, light=light)
 
 
-def following_mirrors(options: Options) -> IncomingOptions:
+def following_mirrors(options: TraceOptions) -> IncomingOptions:
     """How the one ray of a mirror is followed: what it saves in rays goes into light where it ends.
 
     Args:

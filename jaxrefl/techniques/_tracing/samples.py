@@ -1,5 +1,7 @@
 """One block of pixels: lobe samples -> rays -> mean radiance of the lobe."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,12 +9,29 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._status import Source
 from jaxrefl._types import GBuffer, Rays, Reflection, Scene
-from jaxrefl.radiance.incoming import Incoming
+from jaxrefl.core import largest
+from jaxrefl.radiance.incoming import Incoming, IncomingOptions
 from jaxrefl.rays import offset_origin
-from jaxrefl.surface import sample_reflection, sample_refraction
+from jaxrefl.surface import reflective, refractive, sample_reflection, sample_refraction, specular_colour
 
 _R2 = (0.7548776662466927, 0.5698402909980532)
 """Generators of the R2 sequence [Roberts18]: samples of one pixel stay apart at any count."""
+
+
+CHANGING = 0.1
+"""Reflectance at normal incidence above which a surface that is followed counts as a mirror; dielectrics have less."""
+
+
+class Reached(eqx.Module):
+    """What the rays of each pixel hit first; techniques that reuse a reflection need to know."""
+
+    triangle: Int[Array, "*b"]
+    """Row in `Mesh.faces`, of the last sample that hit something; fill -1."""
+    colour: Float[Array, "*b 3"]
+    """Base colour and emission of what was hit, averaged over the samples that hit; without noise; fill 0."""
+    changing: Bool[Array, "*b"]
+    """True where what was hit looks different from elsewhere: glass, or a mirror of more than `CHANGING`, that was
+    followed further."""
 
 
 class Sums(eqx.Module):
@@ -24,6 +43,7 @@ class Sums(eqx.Module):
     t: Float[Array, "n"]
     p: Float[Array, "n 3"]
     traced: Bool[Array, "n"]
+    reached: Reached
 
 
 def start_sums(index: Int[Array, "n"]) -> Sums:
@@ -35,7 +55,8 @@ def start_sums(index: Int[Array, "n"]) -> Sums:
         Zeros.
     """
     zero, vector = jnp.zeros(index.shape, jnp.float32), jnp.zeros((*index.shape, 3), jnp.float32)
-    return Sums(zero, vector, zero, zero, vector, index >= 0)
+    reached = Reached(jnp.full(index.shape, -1, jnp.int32), vector, jnp.zeros(index.shape, bool))
+    return Sums(zero, vector, zero, zero, vector, index >= 0, reached)
 
 
 def _lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array, "n 2"]:
@@ -81,18 +102,30 @@ def refracted_rays(scene: Scene, points: GBuffer, key: Array, sample: Int[Array,
     return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
 
 
-@jax.jit
-def add_sample(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
+@functools.partial(jax.jit, static_argnames="options")
+def add_sample(sums: Sums, weight: Float[Array, "n"], light: Incoming, *, options: IncomingOptions) -> Sums:
     """Add one reflected sample per point.
 
     Args:
         sums: Sums so far.
         weight: Weights of the rays.
         light: What arrived along them.
+        options: How they were followed.
     Returns:
         The new sums.
     """
-    hit = jnp.where(light.hit & (weight > 0), 1.0, 0.0)
+    counts = light.hit & (weight > 0)
+    hit, first = jnp.where(counts, 1.0, 0.0), light.first
+    colour = first.base_colour if first.emission is None else first.base_colour + first.emission
+    all_light = options.light.model == "path"
+    follows = (refractive(first) & (all_light or options.interfaces > 0)) | (
+        (largest(specular_colour(first)) > CHANGING) & reflective(first) & (all_light or options.bounces > 0)
+    )
+    reached = Reached(
+        triangle=jnp.where(counts, first.triangle, sums.reached.triangle),
+        colour=sums.reached.colour + hit[..., None] * colour,
+        changing=sums.reached.changing | (counts & follows),
+    )
     return Sums(
         weight=sums.weight + weight,
         radiance=sums.radiance + weight[..., None] * light.radiance,
@@ -100,22 +133,23 @@ def add_sample(sums: Sums, weight: Float[Array, "n"], light: Incoming) -> Sums:
         t=sums.t + hit * light.t,
         p=sums.p + hit[..., None] * light.p,
         traced=sums.traced,
+        reached=reached,
     )
 
 
 @jax.jit
-def reflection_of(sums: Sums) -> Reflection:
+def means_of(sums: Sums) -> tuple[Reflection, Reached]:
     """Means of the samples.
 
     Args:
         sums: Complete sums of a block of n pixels.
     Returns:
-        Reflection of these pixels [n].
+        Reflection of these pixels [n], and what it shows.
     """
     inverse_weight = jnp.where(sums.weight > 0, 1 / jnp.maximum(sums.weight, 1e-20), 0)
     inverse_hits = 1 / jnp.maximum(sums.hits, 1)
     source = jnp.where(sums.hits > 0, int(Source.TRACED), int(Source.ENVIRONMENT))
-    return Reflection(
+    reflection = Reflection(
         radiance=sums.radiance * inverse_weight[..., None],
         valid=sums.traced,
         source=jnp.where(sums.traced, source, int(Source.NONE)).astype(jnp.int32),
@@ -123,3 +157,5 @@ def reflection_of(sums: Sums) -> Reflection:
         p=sums.p * inverse_hits[..., None],
         t=sums.t * inverse_hits,
     )
+    colour = sums.reached.colour * inverse_hits[..., None]
+    return reflection, Reached(sums.reached.triangle, colour, sums.reached.changing)

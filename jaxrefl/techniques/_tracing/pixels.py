@@ -1,0 +1,126 @@
+"""Some pixels of a frame, traced: Frame + mask -> Traced. Compacted into blocks: work grows with the pixels wanted."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from jaxrefl._types import Frame, GBuffer, Reflection
+from jaxrefl.radiance import IncomingOptions, incoming
+from jaxrefl.rays import block_size, blocks_of, put_block, take_block
+from jaxrefl.surface import reflective, refractive
+from jaxrefl.techniques._shape import no_reflection
+from jaxrefl.techniques._tracing.light import following, following_mirrors
+from jaxrefl.techniques._tracing.options import TraceOptions
+from jaxrefl.techniques._tracing.samples import (
+    Reached,
+    add_sample,
+    means_of,
+    reflected_rays,
+    refracted_rays,
+    start_sums,
+)
+
+
+class Traced(eqx.Module):
+    """An image of reflections, and what they show."""
+
+    reflection: Reflection
+    """Radiance, and where it comes from [h w]; `transmitted` is None: it is kept apart."""
+    reached: Reached
+    """What was hit first [h w]."""
+
+
+@jax.jit
+def nothing_traced(gbuffer: GBuffer) -> Traced:
+    """An image in which nothing has been traced yet.
+
+    Args:
+        gbuffer: G-buffer of the frame.
+    Returns:
+        Fill values of the G-buffer's shape.
+    """
+    reflection = dataclasses.replace(no_reflection(gbuffer), transmitted=None)
+    shape = gbuffer.t.shape
+    return Traced(
+        reflection,
+        Reached(jnp.full(shape, -1, jnp.int32), jnp.zeros((*shape, 3), jnp.float32), jnp.zeros(shape, bool)),
+    )
+
+
+def trace_reflected(frame: Frame, image: Traced, wanted: Bool[Array, "h w"], *, options: TraceOptions) -> Traced:
+    """Trace the reflections of some pixels: one mirror ray each, or samples of a glossy lobe.
+
+    Args:
+        frame: Scene, G-buffer, key and tracer.
+        image: What is known of the other pixels; consumed, its memory is reused.
+        wanted: Which pixels to trace; those that are not reflective are left out.
+        options: Samples, bounces, light, block size.
+    Returns:
+        `image` with the wanted pixels replaced.
+    """
+    mirror, glossy = _classify(frame.gbuffer, wanted)
+    key_mirror, key_glossy, _ = jax.random.split(frame.key, 3)
+    passes = (
+        (mirror, key_mirror, 1, following_mirrors(options)),
+        (glossy, key_glossy, options.samples, following(options)),
+    )
+    for mask, key, samples, follow in passes:
+        for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
+            points = take_block(frame.gbuffer, index)
+            block = _reflect_block(frame, index, points, jax.random.fold_in(key, number), samples, follow)
+            image = put_block(index, image, block)
+    return image
+
+
+def trace_refracted(frame: Frame, *, options: TraceOptions) -> Array | None:
+    """Trace what shows through the refractive pixels of a frame.
+
+    Args:
+        frame: Scene, G-buffer, key and tracer.
+        options: Samples, interfaces, light, block size.
+    Returns:
+        [h w 3] radiance before the transmission weight, fill 0; None: the scene has no refractive material.
+    """
+    if frame.gbuffer.transmission is None:
+        return None
+    image, mask = jnp.zeros_like(frame.gbuffer.p), refractive(frame.gbuffer)
+    _, _, key = jax.random.split(frame.key, 3)
+    for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
+        points = take_block(frame.gbuffer, index)
+        block = _refract_block(frame, index, points, jax.random.fold_in(key, number), options)
+        image = put_block(index, image, block)
+    return image
+
+
+@jax.jit
+def _classify(gbuffer: GBuffer, wanted: Bool[Array, "h w"]) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Pixels whose lobe is one direction, and those that need samples."""
+    traced, smooth = reflective(gbuffer) & wanted, gbuffer.alpha == 0
+    return traced & smooth, traced & ~smooth
+
+
+def _reflect_block(
+    frame: Frame, index: Array, points: GBuffer, key: Array, samples: int, follow: IncomingOptions
+) -> Traced:
+    sums = start_sums(index)
+    key_lobe, key_light = jax.random.split(key)
+    for number in range(samples):
+        rays, weight = reflected_rays(points, sums.traced, key_lobe, jnp.asarray(number, jnp.int32))
+        key_in = jax.random.fold_in(key_light, number)
+        light = incoming(frame.scene, frame.tracer, rays, weight > 0, key_in, options=follow)
+        sums = add_sample(sums, weight, light, options=follow)
+    return Traced(*means_of(sums))
+
+
+def _refract_block(frame: Frame, index: Array, points: GBuffer, key: Array, options: TraceOptions) -> Array:
+    mean, follow = jnp.zeros_like(points.p), following(options)
+    key_lobe, key_light = jax.random.split(key)
+    for number in range(options.samples):
+        rays = refracted_rays(frame.scene, points, key_lobe, jnp.asarray(number, jnp.int32))
+        key_in = jax.random.fold_in(key_light, number)
+        light = incoming(frame.scene, frame.tracer, rays, index >= 0, key_in, options=follow)
+        mean = mean + light.radiance / options.samples
+    return mean
