@@ -92,9 +92,17 @@ def _asked(proposal: Proposal, gbuffer: GBuffer) -> Bool[Array, "h w"]:
 def _flat(buffer: ReflectionBuffer) -> _Kept:
     values = jnp.concatenate([buffer.radiance, buffer.seen], -1)
     usable = buffer.valid & buffer.smooth & ~buffer.changing & (buffer.triangle >= 0)
-    flat = [x.reshape(-1) for x in (buffer.triangle, buffer.steepness, buffer.error)]
     h, w = buffer.valid.shape
-    return _Kept(usable.reshape(-1), components(buffer.reflected[..., :3]), components(values), *flat, w, h)
+    return _Kept(
+        usable=usable.reshape(-1),
+        point=components(buffer.reflected[..., :3]),
+        values=components(values),
+        triangle=buffer.triangle.reshape(-1),
+        steepness=buffer.steepness.reshape(-1),
+        error=buffer.error.reshape(-1),
+        width=w,
+        height=h,
+    )
 
 
 @jax.jit
