@@ -317,20 +317,18 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
         command = f"jaxrefl bench --temporal SCENE ... --side {side} --frames {frames} --loop {loop}"
         _write(arguments.out, "temporal", argv, sections, [command])
 
-    for number, name in enumerate(arguments.temporal):
-        path = open_path(
-            name, (side, side), frames, loop, texels=4096 if arguments.quick else 2**15 * (side // 512 + 1)
-        )
+    texels = 4096 if arguments.quick else 2**15 * (side // 512 + 1)
+    routes = [open_path(name, (side, side), frames, loop, texels=texels) for name in arguments.temporal]
+    for path in routes:
         rows, stages = compare_errors(path)
         add(rows, [], stages)
         for light, variants, count in (("direct", PLAIN, frames), ("path", INNER, max(frames // 3, 2))):
             part = path._replace(frames=path.frames[:count])
             rows, stages = compare_times(part, light, variants, every=max(count // 3, 1))
             add([], rows, stages)
-        if number == 0:
-            knobs = sweep(path._replace(frames=path.frames[:12]))
-            plot_sweep(knobs, arguments.out / "temporal.png")
-            add([], [], [], knobs)
+    knobs = sweep(routes[0]._replace(frames=routes[0].frames[:8]))
+    plot_sweep(knobs, arguments.out / "temporal.png")
+    add([], [], [], knobs)
     sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
     add([], [], [], [], reuse_growth(sides, triangles))
 

@@ -121,6 +121,7 @@ def _all_light(
 ) -> Incoming:
     """Everything that arrives along rays, by path tracing."""
     points = build_gbuffer(scene, rays, tracer.closest(rays, active=active))
+    rays = _parked(scene, rays, active)
     count, seed = active.shape[0], seed_of(key)
     sequence = pixel_sequences(seed, jnp.arange(count, dtype=jnp.int32))
     at_once = max(min(options.path_samples, _PATHS_AT_ONCE // count), 1)
@@ -135,6 +136,14 @@ def _all_light(
         total = total + light.sum(0)
     radiance = jnp.where(active[:, None], total / options.path_samples, 0)
     return Incoming(radiance, points.valid, points.p, points.t, points)
+
+
+@jax.jit
+def _parked(scene: Scene, rays: Rays, active: Bool[Array, "n"]) -> Rays:
+    """Rays that are not wanted leave the scene from its outside: their paths end at once instead of being followed."""
+    outside = jnp.broadcast_to(2 * scene.upper - scene.lower, rays.origin.shape)
+    wanted = active[:, None]
+    return Rays(jnp.where(wanted, rays.origin, outside), jnp.where(wanted, rays.direction, 3**-0.5))
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))

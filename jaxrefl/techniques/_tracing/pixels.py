@@ -1,11 +1,12 @@
 """Some pixels of a frame, traced: Frame + mask -> Traced. Compacted into blocks: work grows with the pixels wanted."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from jaxrefl._types import Frame, GBuffer, Reflection
 from jaxrefl.radiance import IncomingOptions, incoming
@@ -22,6 +23,9 @@ from jaxrefl.techniques._tracing.samples import (
     refracted_rays,
     start_sums,
 )
+
+_CUT = 16
+"""How many small blocks make a whole one."""
 
 
 class Traced(eqx.Module):
@@ -68,7 +72,7 @@ def trace_reflected(frame: Frame, image: Traced, wanted: Bool[Array, "h w"], *, 
         (glossy, key_glossy, options.samples, following(options)),
     )
     for mask, key, samples, follow in passes:
-        for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
+        for number, index in enumerate(_blocks(mask, options)):
             points = take_block(frame.gbuffer, index)
             block = _reflect_block(frame, index, points, jax.random.fold_in(key, number), samples, follow)
             image = put_block(index, image, block)
@@ -88,7 +92,7 @@ def trace_refracted(frame: Frame, *, options: TraceOptions) -> Array | None:
         return None
     image, mask = jnp.zeros_like(frame.gbuffer.p), refractive(frame.gbuffer)
     _, _, key = jax.random.split(frame.key, 3)
-    for number, index in enumerate(blocks_of(mask, size=block_size(mask.size, options.block))):
+    for number, index in enumerate(_blocks(mask, options)):
         points = take_block(frame.gbuffer, index)
         block = _refract_block(frame, index, points, jax.random.fold_in(key, number), options)
         image = put_block(index, image, block)
@@ -100,6 +104,18 @@ def _classify(gbuffer: GBuffer, wanted: Bool[Array, "h w"]) -> tuple[Bool[Array,
     """Pixels whose lobe is one direction, and those that need samples."""
     traced, smooth = reflective(gbuffer) & wanted, gbuffer.alpha == 0
     return traced & smooth, traced & ~smooth
+
+
+def _blocks(mask: Bool[Array, "h w"], options: TraceOptions) -> Iterator[Int[Array, "n"]]:
+    """Blocks of a mask; where padding is dear, what does not fill one is cut into small ones of a second size."""
+    whole = block_size(mask.size, options.block)
+    if options.light != "path":
+        yield from blocks_of(mask, size=whole)
+        return
+    rank = jnp.cumsum(mask.reshape(-1).astype(jnp.int32)).reshape(mask.shape)
+    head = (int(mask.sum()) + whole // 2) // whole * whole
+    yield from blocks_of(mask & (rank <= head), size=whole)
+    yield from blocks_of(mask & (rank > head), size=max(whole // _CUT, 1))
 
 
 def _reflect_block(
