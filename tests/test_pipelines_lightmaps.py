@@ -33,6 +33,7 @@ def test_paths_of_maps_count_from_the_job():
     assert with_paths(Job(SceneSource("cornell")), lambda p: f"/there/{p}").light == {}
 
 
+@pytest.mark.slow
 def test_a_map_is_baked_once_and_again_when_something_has_changed(tmp_path):
     options = LightOptions(model="baked", texels=64, bake_samples=8)
 

@@ -88,6 +88,7 @@ def test_all_bounces_are_in_baked_and_path(stage, truth, model: str):
     assert light.mean() > direct.mean()
 
 
+@pytest.mark.slow
 def test_ray_tracing_with_paths_is_the_reflected_layer_of_path_tracing(stage, truth):
     options = raytrace.Options(samples=256, light="path", path_bounces=8)
     _, reflection, _ = raytrace.step(raytrace.State(), stage, raytrace.Params(), options=options)

@@ -153,6 +153,7 @@ def test_a_reflector_that_moves_is_traced_or_followed():
     assert second[2].counts["share"] < 0.5
 
 
+@pytest.mark.slow
 def test_rough_reflections_are_reused_within_their_lobe():
     scene = room(ground="glossy")
     options = dataclasses.replace(KEEP, samples=4)

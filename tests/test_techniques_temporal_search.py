@@ -123,7 +123,9 @@ def test_planar_mirrors_have_their_closed_form():
     assert np.quantile(backward[good], 0.99) < 0.5  # measured: 0.05
 
 
-@pytest.mark.parametrize("name", ["ball", "cylinder", "bowl"])
+@pytest.mark.parametrize(
+    "name", ["ball", *(pytest.param(name, marks=pytest.mark.slow) for name in ("cylinder", "bowl"))]
+)
 def test_curved_mirrors_show_points_where_a_root_finder_says(name: str):
     buffer, exact, found, refined = places(name, 1.0)
     chosen = np.argwhere(np.asarray(found.found))[::5]
@@ -172,6 +174,7 @@ def test_gradients_of_the_distance_are_finite():
         assert np.isfinite(value) and np.isfinite(np.asarray(gradient)).all()
 
 
+@pytest.mark.slow
 def test_the_matched_place_is_differentiable_in_the_camera():
     from jaxrefl.techniques.temporal.flat import surfaces
     from jaxrefl.techniques.temporal.match import newton
