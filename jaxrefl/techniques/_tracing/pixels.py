@@ -24,6 +24,8 @@ from jaxrefl.techniques._tracing.samples import (
     start_sums,
 )
 
+_PATHS_AT_ONCE = 2**18
+"""Most paths of glossy pixels that are followed in one call."""
 _CUT = 16
 """How many small blocks make a whole one."""
 
@@ -121,22 +123,37 @@ def _blocks(mask: Bool[Array, "h w"], options: TraceOptions) -> Iterator[Int[Arr
 def _reflect_block(
     frame: Frame, index: Array, points: GBuffer, key: Array, samples: int, follow: IncomingOptions
 ) -> Traced:
-    sums = start_sums(index)
+    sums, count = start_sums(index), index.shape[0]
     key_lobe, key_light = jax.random.split(key)
-    for number in range(samples):
-        rays, weight = reflected_rays(points, sums.traced, key_lobe, jnp.asarray(number, jnp.int32))
-        key_in = jax.random.fold_in(key_light, number)
-        light = incoming(frame.scene, frame.tracer, rays, weight > 0, key_in, options=follow)
-        sums = add_sample(sums, weight, light, options=follow)
+    for numbers in _groups(samples, count, follow):
+        rays, weights = zip(
+            *(reflected_rays(points, sums.traced, key_lobe, jnp.asarray(number, jnp.int32)) for number in numbers),
+            strict=True,
+        )
+        together = jax.tree.map(lambda *x: jnp.concatenate(x), *rays)
+        key_in = jax.random.fold_in(key_light, numbers.start)
+        light = incoming(frame.scene, frame.tracer, together, jnp.concatenate(weights) > 0, key_in, options=follow)
+        for i, weight in enumerate(weights):
+            own = jax.tree.map(lambda x, start=i * count: x[start : start + count], light)
+            sums = add_sample(sums, weight, own, options=follow)
     return Traced(*means_of(sums))
 
 
 def _refract_block(frame: Frame, index: Array, points: GBuffer, key: Array, options: TraceOptions) -> Array:
     mean, follow = jnp.zeros_like(points.p), following(options)
     key_lobe, key_light = jax.random.split(key)
-    for number in range(options.samples):
-        rays = refracted_rays(frame.scene, points, key_lobe, jnp.asarray(number, jnp.int32))
-        key_in = jax.random.fold_in(key_light, number)
-        light = incoming(frame.scene, frame.tracer, rays, index >= 0, key_in, options=follow)
-        mean = mean + light.radiance / options.samples
+    for numbers in _groups(options.samples, index.shape[0], follow):
+        rays = [refracted_rays(frame.scene, points, key_lobe, jnp.asarray(number, jnp.int32)) for number in numbers]
+        together = jax.tree.map(lambda *x: jnp.concatenate(x), *rays)
+        key_in = jax.random.fold_in(key_light, numbers.start)
+        active = jnp.tile(index >= 0, len(rays))
+        light = incoming(frame.scene, frame.tracer, together, active, key_in, options=follow)
+        mean = mean + light.radiance.reshape(len(rays), -1, 3).sum(0) / options.samples
     return mean
+
+
+def _groups(samples: int, count: int, follow: IncomingOptions) -> Iterator[range]:
+    """Numbers of the samples that are followed together: short batches of paths are mostly beginning and end."""
+    size = max(_PATHS_AT_ONCE // count, 1) if follow.light.model == "path" else 1
+    for first in range(0, samples, size):
+        yield range(first, min(first + size, samples))
