@@ -49,8 +49,8 @@ def judge(
     """
     shape, smooth = covered.shape, gbuffer.alpha == 0
     at = footprint(refined.uv.reshape(-1, 2), shape=buffer.t.shape, snap=SNAP)
-    known = all_of(buffer.valid.reshape(-1), at) & all_of((buffer.smooth.reshape(-1)), at)
     rough_known = all_of(buffer.valid.reshape(-1), at)
+    known = rough_known & all_of(buffer.smooth.reshape(-1), at)
     single = ((at.fx == 0) | (at.fx == 1)) & ((at.fy == 0) | (at.fy == 1))
     whole = buffer.connected.reshape(-1)[at.cell] | single
     steady = all_of(~buffer.changing.reshape(-1), at)
