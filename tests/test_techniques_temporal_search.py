@@ -14,7 +14,8 @@ from jaxrefl._types import Frame
 from jaxrefl.core import mirror_point, project
 from jaxrefl.techniques._reproject import GridMesh, draw, seen_before
 from jaxrefl.techniques._tracing import TraceOptions
-from jaxrefl.techniques.temporal.flat import pose
+from jaxrefl.techniques.temporal.flat import mirrors_of, pose
+from jaxrefl.techniques.temporal.kept import flatten
 from jaxrefl.techniques.temporal.match import search
 from jaxrefl.techniques.temporal.neighbourhood import distance, match_pixels
 from jaxrefl.techniques.temporal.refine import refine
@@ -99,9 +100,10 @@ def places(name: str, step: float):
     _, buffer = view(MIRRORS[name], camera_at(0))
     gbuffer, exact = view(MIRRORS[name], camera_at(step))
     frame = frame_of(gbuffer, camera_at(step))
-    found = search(buffer, None, frame, options=OPTIONS)
-    uv, covered, _ = starts(buffer, found, frame, options=OPTIONS)
-    return buffer, exact, found, refine(buffer, gbuffer, uv, covered, options=OPTIONS)
+    mirrors, smooth = mirrors_of(gbuffer), gbuffer.alpha == 0
+    found = search(buffer, None, mirrors, frame.camera, options=OPTIONS)
+    uv, covered, _ = starts(buffer, found, frame, smooth & gbuffer.valid, options=OPTIONS)
+    return buffer, exact, found, refine(flatten(buffer), mirrors.rays, smooth, uv, covered, options=OPTIONS)
 
 
 def test_planar_mirrors_have_their_closed_form():

@@ -4,6 +4,7 @@ from . import safe as safe
 from .albedo import ggx_albedo as ggx_albedo
 from .albedo import lobe_fresnel_cosine as lobe_fresnel_cosine
 from .apart import apart as apart
+from .apart import together as together
 from .cameras import look_at as look_at
 from .cameras import perspective as perspective
 from .cameras import project as project

@@ -6,30 +6,35 @@ colours around it differ too much, it looks different from here, something hides
 Beyond [XWD17], whose mask only knows gaps and magnified triangles: its Fig. 9 shows what that misses.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from jaxrefl._types import Frame, GBuffer, Rays
+from jaxrefl.core import apart, together
 from jaxrefl.core.safe import norm
-from jaxrefl.rays import offset_origin
-from jaxrefl.surface import mirror_direction, reflective
-from jaxrefl.techniques._reproject import SNAP, Footprint, all_of, components, footprint, read
+from jaxrefl.rays import block_size, blocks_of, offset_origin, put_block, take_block
+from jaxrefl.surface import reflective
+from jaxrefl.techniques._reproject import SNAP, Footprint, footprint, read
+from jaxrefl.techniques.temporal.kept import CONNECTED, KNOWN, SMOOTH, STEADY, Kept, flags_at, has
 from jaxrefl.techniques.temporal.refine import Refined
-from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer
+from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason
 
 _SHORT = 1e-3
 """Share of the way to the point at its end in which nothing is looked for: there lies the point itself."""
 
 
-@jax.jit
 def judge(
-    buffer: ReflectionBuffer,
+    kept: Kept,
     gbuffer: GBuffer,
     refined: Refined,
     covered: Bool[Array, "h w"],
     moved: Bool[Array, "h w"],
     params: Params,
+    *,
+    options: Options,
 ) -> Proposal:
     r"""Test each pixel, all but for what may hide its point.
 
@@ -38,69 +43,102 @@ def judge(
     is the expected error of a value between pixels with second differences b: that of an edge somewhere between them.
 
     Args:
-        buffer: The key frame.
+        kept: The key frame.
         gbuffer: What is seen now.
         refined: Place and residual per pixel.
         covered: Where there was a start.
         moved: Where the reflector has moved.
         params: `tolerance`, `contrast`, `lobe`.
+        options: `block`.
     Returns:
         The proposal; a place within `SNAP` of a key-frame pixel needs no neighbours and has no error.
     """
-    shape, smooth = covered.shape, gbuffer.alpha == 0
-    at = footprint(refined.uv.reshape(-1, 2), shape=buffer.t.shape, snap=SNAP)
-    rough_known = all_of(buffer.valid.reshape(-1), at)
-    known = rough_known & all_of(buffer.smooth.reshape(-1), at)
-    single = ((at.fx == 0) | (at.fx == 1)) & ((at.fy == 0) | (at.fy == 1))
-    whole = buffer.connected.reshape(-1)[at.cell] | single
-    steady = all_of(~buffer.changing.reshape(-1), at)
-    edge = jnp.where(smooth, (known & whole).reshape(shape), rough_known.reshape(shape))
-    between = _expected_error(buffer, at).reshape(shape)
-    turn = refined.tangent / jnp.maximum(gbuffer.alpha, 1e-6)
-    inherited = read([buffer.error.reshape(-1)], at)[0].reshape(shape)
-    error = inherited + jnp.where(smooth, between, params.contrast * turn / jnp.maximum(params.lobe, 1e-6))
+    proposal, tested = _untested(gbuffer, covered, moved)
+    for index in blocks_of(tested, size=block_size(tested.size, options.block)):
+        proposal = put_block(index, proposal, _judge_block(kept, (refined, gbuffer.alpha), index, params))
+    return proposal
 
-    # The first test that fails is the reason, so the last one written wins.
-    reason = jnp.full(shape, int(Reason.REUSED), jnp.int32)
-    for failed, code in (
-        (error > jnp.where(smooth, params.contrast, 2 * params.contrast), Reason.CONTRAST),
-        (~smooth & (turn > params.lobe), Reason.LOBE),
-        (~steady.reshape(shape) & smooth, Reason.CHANGING),
-        (smooth & ~(refined.residual <= params.tolerance), Reason.RESIDUAL),
-        (~edge, Reason.EDGE),
-        (~covered, Reason.UNSEEN),
-        (moved, Reason.MOVED),
-        (~reflective(gbuffer), Reason.NONE),
-    ):
-        reason = jnp.where(failed, int(code), reason)
-    usable = (reason == int(Reason.REUSED)) | (reason == int(Reason.CONTRAST))
-    values = read(components(jnp.concatenate([buffer.radiance, buffer.reflected, buffer.seen], -1)), at)
+
+@jax.jit
+def _untested(
+    gbuffer: GBuffer, covered: Bool[Array, "h w"], moved: Bool[Array, "h w"]
+) -> tuple[Proposal, Bool[Array, "h w"]]:
+    """The proposal before any test, and the pixels to test."""
+    wanted = reflective(gbuffer)
+    reason = jnp.where(moved, int(Reason.MOVED), int(Reason.UNSEEN))
+    reason = jnp.where(wanted, reason, int(Reason.NONE)).astype(jnp.int32)
+    return no_proposal(reason), wanted & covered & ~moved
+
+
+def no_proposal(reason: Int[Array, "*b"]) -> Proposal:
+    """A proposal of nothing.
+
+    Args:
+        reason: Why.
+    Returns:
+        Fill values, and the reasons.
+    """
+    zero = jnp.zeros(reason.shape, jnp.float32)
+    wide = jnp.zeros((*reason.shape, 4), jnp.float32)
+    return Proposal(wide[..., :2], reason, zero, wide[..., :3], wide, jnp.full_like(reason, -1), wide[..., :3])
+
+
+@jax.jit
+def _judge_block(
+    kept: Kept, pixels: tuple[Refined, Float[Array, "h w"]], index: Int[Array, "n"], params: Params
+) -> Proposal:
+    refined, alpha = take_block(pixels, index)
+    at = footprint(refined.uv, shape=kept.shape, snap=SNAP)
+    tested = apart(index >= 0, _tests, kept, at, refined, alpha, params)
     nearest = at.cell + jnp.where(at.fx >= 0.5, 1, 0) + jnp.where(at.fy >= 0.5, at.width, 0)
-    triangle = buffer.triangle.reshape(-1)[nearest].reshape(shape)
-    radiance = jnp.stack(values[:3], -1).reshape(*shape, 3)
-    seen = jnp.stack(values[7:], -1).reshape(*shape, 3)
-    reflected = jnp.stack(values[3:7], -1).reshape(*shape, 4)
+
+    def stacked(image: tuple[Array, ...]) -> Array:
+        return jnp.stack(read(image, at), -1)
+
     return Proposal(
-        uv=jnp.where(usable[..., None], refined.uv, 0),
-        reason=reason,
-        error=jnp.where(usable, error, 0),
-        radiance=jnp.where(usable[..., None], radiance, 0),
-        reflected=jnp.where(usable[..., None], reflected, 0),
-        triangle=jnp.where(usable, triangle, -1),
-        seen=jnp.where(usable[..., None], seen, 0),
+        uv=refined.uv,
+        reason=jnp.real(tested).astype(jnp.int32),
+        error=jnp.imag(tested),
+        radiance=stacked(kept.radiance),
+        reflected=stacked(kept.reflected),
+        triangle=kept.triangle[nearest],
+        seen=stacked(kept.seen),
     )
 
 
-def _expected_error(buffer: ReflectionBuffer, at: Footprint) -> Float[Array, "n"]:
-    bend_x, bend_y = buffer.bend_x.reshape(-1)[at.cell], buffer.bend_y.reshape(-1)[at.cell]
-    return 2 * (at.fx * (1 - at.fx) * bend_x + at.fy * (1 - at.fy) * bend_y)
+def _tests(
+    kept: Kept, at: Footprint, refined: Refined, alpha: Float[Array, "n"], params: Params
+) -> Complex[Array, "n"]:
+    """Reason codes as numbers, small enough to be exact, and expected errors."""
+    flags, smooth = flags_at(kept, at), alpha == 0
+    single = ((at.fx == 0) | (at.fx == 1)) & ((at.fy == 0) | (at.fy == 1))
+    whole = has(flags, KNOWN, SMOOTH) & (has(flags, CONNECTED) | single)
+    turn = refined.tangent / jnp.maximum(alpha, 1e-6)
+    between = jnp.where(smooth, _expected_error(kept, at), params.contrast * turn / jnp.maximum(params.lobe, 1e-6))
+    error = read([kept.error], at)[0] + between
+    # The first test that fails is the reason, so the last one written wins.
+    reason = jnp.full(alpha.shape, float(Reason.REUSED))
+    for failed, code in (
+        (error > jnp.where(smooth, params.contrast, 2 * params.contrast), Reason.CONTRAST),
+        (~smooth & (turn > params.lobe), Reason.LOBE),
+        (~has(flags, STEADY) & smooth, Reason.CHANGING),
+        (smooth & ~(refined.residual <= params.tolerance), Reason.RESIDUAL),
+        (~jnp.where(smooth, whole, has(flags, KNOWN)), Reason.EDGE),
+    ):
+        reason = jnp.where(failed, float(code), reason)
+    return together(reason, error)
 
 
-def unhidden(proposal: Proposal, frame: Frame, *, options: Options) -> Proposal:
+def _expected_error(kept: Kept, at: Footprint) -> Float[Array, "n"]:
+    return 2 * (at.fx * (1 - at.fx) * kept.bend_x[at.cell] + at.fy * (1 - at.fy) * kept.bend_y[at.cell])
+
+
+def unhidden(proposal: Proposal, mirrors: Rays, frame: Frame, *, options: Options) -> Proposal:
     """Take out what cannot be seen: a shadow ray from each mirror to the point that it would show.
 
     Args:
         proposal: From `judge`.
+        mirrors: Surface points and mirror directions.
         frame: Its G-buffer, scene and tracer; the scene as it is now, so things that have moved hide too.
         options: `occlusion`: `depths` trusts the depth test of the drawing.
     Returns:
@@ -109,13 +147,15 @@ def unhidden(proposal: Proposal, frame: Frame, *, options: Options) -> Proposal:
     """
     if options.occlusion == "depths":
         return proposal
-    rays, t_max = _shadow_rays(proposal, frame.gbuffer, norm(frame.scene.upper - frame.scene.lower))
+    size = norm(frame.scene.upper - frame.scene.lower)
+    rays, t_max = _shadow_rays(proposal, mirrors.direction, frame.gbuffer, size)
     return _without(proposal, frame.tracer.occluded(rays, t_max))
 
 
 @jax.jit
-def _shadow_rays(proposal: Proposal, gbuffer: GBuffer, size: Float[Array, ""]) -> tuple[Rays, Float[Array, "h w"]]:
-    wi = mirror_direction(gbuffer)
+def _shadow_rays(
+    proposal: Proposal, wi: Float[Array, "h w 3"], gbuffer: GBuffer, size: Float[Array, ""]
+) -> tuple[Rays, Float[Array, "h w"]]:
     finite = proposal.reflected[..., 3] > 0.5
     t = norm(proposal.reflected[..., :3] - gbuffer.p)
     reach = jnp.where(finite, (1 - _SHORT) * t, 4 * size)
@@ -127,13 +167,5 @@ def _shadow_rays(proposal: Proposal, gbuffer: GBuffer, size: Float[Array, ""]) -
 
 @jax.jit
 def _without(proposal: Proposal, hidden: Bool[Array, "h w"]) -> Proposal:
-    kept = ~hidden
-    return Proposal(
-        uv=jnp.where(kept[..., None], proposal.uv, 0),
-        reason=jnp.where(hidden, int(Reason.HIDDEN), proposal.reason).astype(jnp.int32),
-        error=jnp.where(kept, proposal.error, 0),
-        radiance=jnp.where(kept[..., None], proposal.radiance, 0),
-        reflected=jnp.where(kept[..., None], proposal.reflected, 0),
-        triangle=jnp.where(kept, proposal.triangle, -1),
-        seen=jnp.where(kept[..., None], proposal.seen, 0),
-    )
+    reason = jnp.where(hidden, int(Reason.HIDDEN), proposal.reason).astype(jnp.int32)
+    return dataclasses.replace(proposal, reason=reason)

@@ -10,19 +10,16 @@ Beyond [XWD17], which traces these pixels.
 
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Frame, GBuffer, Hits, Mesh, Rays
-from jaxrefl.core import cross, dot
-from jaxrefl.core.safe import normalise
+from jaxrefl.core import apart, dot, together
 from jaxrefl.rays import block_size, blocks_of, offset_origin, put_block, take_block
-from jaxrefl.surface import mirror_direction
-from jaxrefl.techniques._reproject import components
-from jaxrefl.techniques.temporal.cells import STEEPEST
-from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason, ReflectionBuffer
+from jaxrefl.techniques.temporal.cells import STEEPEST, normals_of
+from jaxrefl.techniques.temporal.kept import KNOWN, SMOOTH, STEADY, Kept, has
+from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason
 
 _SIDE = 2
 """Side of the square of key-frame pixels around the place found that are looked at."""
@@ -33,23 +30,11 @@ _ALIKE = 0.9
 """Cosine between the normals of two triangles above which they may be one smooth piece."""
 
 
-class _Kept(eqx.Module):
-    """The key frame as flat arrays."""
-
-    usable: Bool[Array, "m"]
-    point: tuple[Float[Array, "m"], ...]
-    values: tuple[Float[Array, "m"], ...]
-    triangle: Int[Array, "m"]
-    steepness: Float[Array, "m"]
-    error: Float[Array, "m"]
-    width: int = eqx.field(static=True)
-    height: int = eqx.field(static=True)
-
-
 def seek_edges(
     proposal: Proposal,
     uv: Float[Array, "h w 2"],
-    buffer: ReflectionBuffer,
+    kept: Kept,
+    mirrors: Rays,
     frame: Frame,
     params: Params,
     *,
@@ -60,7 +45,8 @@ def seek_edges(
     Args:
         proposal: After all tests.
         uv: Places found in the key frame, also of pixels that failed.
-        buffer: The key frame.
+        kept: The key frame.
+        mirrors: Surface points and mirror directions.
         frame: The frame to render.
         params: `contrast`.
         options: `edges`, `block`.
@@ -71,10 +57,9 @@ def seek_edges(
     """
     if options.edges == "trace":
         return proposal
-    asked, kept, mesh = _asked(proposal, frame.gbuffer), _flat(buffer), frame.scene.mesh
+    asked, mesh = _asked(proposal, frame.gbuffer), frame.scene.mesh
     for index in blocks_of(asked, size=block_size(asked.size, options.block)):
-        points = take_block(frame.gbuffer, index)
-        rays = _rays(points)
+        rays = _rays(frame.gbuffer, mirrors, index)
         hits = frame.tracer.closest(rays, active=index >= 0)
         block = _read_block(kept, mesh, rays, hits, take_block((proposal, uv), index), params.contrast)
         proposal = put_block(index, proposal, block)
@@ -89,36 +74,14 @@ def _asked(proposal: Proposal, gbuffer: GBuffer) -> Bool[Array, "h w"]:
 
 
 @jax.jit
-def _flat(buffer: ReflectionBuffer) -> _Kept:
-    values = jnp.concatenate([buffer.radiance, buffer.seen], -1)
-    usable = buffer.valid & buffer.smooth & ~buffer.changing & (buffer.triangle >= 0)
-    h, w = buffer.valid.shape
-    return _Kept(
-        usable=usable.reshape(-1),
-        point=components(buffer.reflected[..., :3]),
-        values=components(values),
-        triangle=buffer.triangle.reshape(-1),
-        steepness=buffer.steepness.reshape(-1),
-        error=buffer.error.reshape(-1),
-        width=w,
-        height=h,
-    )
-
-
-@jax.jit
-def _rays(points: GBuffer) -> Rays:
-    wi = mirror_direction(points)
-    return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
-
-
-def _normals(mesh: Mesh, triangle: Int[Array, "n"]) -> Float[Array, "n 3"]:
-    corners = mesh.vertices[mesh.faces[triangle]]
-    return normalise(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+def _rays(gbuffer: GBuffer, mirrors: Rays, index: Int[Array, "n"]) -> Rays:
+    n, error, points = take_block((gbuffer.n, gbuffer.p_error, mirrors), index)
+    return Rays(offset_origin(points.origin, n, error, points.direction), points.direction)
 
 
 @jax.jit
 def _read_block(
-    kept: _Kept,
+    kept: Kept,
     mesh: Mesh,
     rays: Rays,
     hits: Hits,
@@ -127,32 +90,40 @@ def _read_block(
 ) -> Proposal:
     proposal, uv = before
     p = rays.origin + hits.t[:, None] * rays.direction
-    normal = _normals(mesh, hits.triangle)
-    thing = mesh.object[hits.triangle]
+    normal, thing = normals_of(mesh, hits.triangle), mesh.object[hits.triangle]
     column, row = (jnp.floor(uv[:, i] - 0.5).astype(jnp.int32) for i in (0, 1))
     tiny = 1e-12 * dot(p, p) + jnp.finfo(jnp.float32).tiny
 
-    def add(number: Array, sums: tuple[Array, ...]) -> tuple[Array, ...]:
-        weight, error, nearest, triangle, *values = sums
+    def pixel(number: Array) -> tuple[Array, Array]:
+        """A key-frame pixel near the place found, and whether there is one."""
         x, y = column + number % _SIDE, row + number // _SIDE
         inside = (x >= 0) & (x < kept.width) & (y >= 0) & (y < kept.height)
-        at = jnp.where(inside, y * kept.width + x, 0)
-        chord = jnp.stack([c[at] for c in kept.point], -1) - p
+        return jnp.where(inside, y * kept.width + x, 0), inside
+
+    def weigh(at: Array, inside: Array) -> Array:
+        """With which weight and which expected error it counts."""
+        chord = jnp.stack([c[at] for c in kept.reflected[:3]], -1) - p
         squared, shown = dot(chord, chord), kept.triangle[at]
-        same = (mesh.object[jnp.maximum(shown, 0)] == thing) & kept.usable[at]
-        alike = dot(_normals(mesh, jnp.maximum(shown, 0)), normal) > _ALIKE
+        same = (mesh.object[jnp.maximum(shown, 0)] == thing) & (shown >= 0) & has(kept.flags[at], KNOWN, SMOOTH, STEADY)
+        alike = dot(normals_of(mesh, jnp.maximum(shown, 0)), normal) > _ALIKE
         flat = alike & (jnp.abs(dot(chord, normal)) <= STEEPEST * jnp.sqrt(squared) + jnp.sqrt(tiny))
         off = kept.error[at] + _MARGIN * kept.steepness[at] * jnp.sqrt(squared)
         fits = inside & same & flat & (off <= contrast)  # comparisons with NaN, of 0 times infinity, fail
-        w = jnp.where(fits, 1 / (squared + tiny), 0)
-        closer = fits & (squared < nearest)
-        summed = [value + w * image[at] for value, image in zip(values, kept.values, strict=True)]
-        return (weight + w, error + jnp.where(fits, w * off, 0), jnp.where(closer, squared, nearest),
-                jnp.where(closer, shown, triangle), *summed)  # fmt: skip
+        return together(jnp.where(fits, 1 / (squared + tiny), 0), jnp.where(fits, off, 0))
+
+    def add(number: Array, sums: tuple[Array, ...]) -> tuple[Array, ...]:
+        most, error, triangle, weight, *values = sums
+        at, inside = pixel(number)
+        weighed = apart(inside, weigh, at, inside)
+        w, off = jnp.real(weighed), jnp.imag(weighed)
+        images = (*kept.radiance, *kept.seen)
+        summed = [value + w * image[at] for value, image in zip(values, images, strict=True)]
+        return (jnp.maximum(most, w), error + w * off, jnp.where(w > most, kept.triangle[at], triangle), weight + w,
+                *summed)  # fmt: skip
 
     zero = jnp.zeros_like(hits.t)
-    first = (zero, zero, zero + jnp.inf, jnp.full_like(hits.triangle, -1), *[zero] * 6)
-    weight, error, _, triangle, *values = jax.lax.fori_loop(0, _SIDE * _SIDE, add, first)
+    first = (zero, zero, jnp.full_like(hits.triangle, -1), zero, *[zero] * 6)
+    _, error, triangle, weight, *values = jax.lax.fori_loop(0, _SIDE * _SIDE, add, first)
     fine = hits.valid & (weight > 0)
     inverse = jnp.where(fine, 1 / jnp.where(fine, weight, 1), 0)
     mean = jnp.stack(values, -1) * inverse[:, None]

@@ -3,10 +3,12 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrefl._types import Camera
+from jaxrefl._types import Camera, GBuffer, Rays
+from jaxrefl.surface import mirror_direction
 from jaxrefl.techniques._reproject import components
 
 Triple = tuple[Array, Array, Array]
@@ -34,6 +36,28 @@ class Surfaces(eqx.Module):
     """Width of the image."""
     height: int = eqx.field(static=True)
     """Height of the image."""
+
+
+class Mirrors(eqx.Module):
+    """What a frame's G-buffer is to all stages, made once: each pixel is a small mirror."""
+
+    rays: Rays
+    """Surface points and mirror directions [h w]."""
+    flat: Surfaces
+    """The surfaces as flat arrays."""
+
+
+@jax.jit
+def mirrors_of(gbuffer: GBuffer) -> Mirrors:
+    """The small mirrors of a G-buffer.
+
+    Args:
+        gbuffer: Any G-buffer.
+    Returns:
+        Its pixels as mirrors, whatever they are made of.
+    """
+    flat = surfaces(gbuffer.p, gbuffer.ns, gbuffer.object)
+    return Mirrors(Rays(gbuffer.p, mirror_direction(gbuffer)), flat)
 
 
 def surfaces(p: Float[Array, "h w 3"], n: Float[Array, "h w 3"], object: Int[Array, "h w"]) -> Surfaces:
@@ -65,6 +89,17 @@ def pose(camera: Camera) -> Pose:
     return Pose(column(3), (column(0), column(1), column(2)), tuple(camera.focal), tuple(camera.centre))  # pyright: ignore[reportArgumentType]
 
 
+def split(x: Float[Array, "*b 3"]) -> Triple:
+    """Vectors as three arrays.
+
+    Args:
+        x: Vectors.
+    Returns:
+        Their components.
+    """
+    return x[..., 0], x[..., 1], x[..., 2]
+
+
 def take(of: Triple, index: Array) -> Triple:
     """Elements of three flat arrays.
 
@@ -74,7 +109,7 @@ def take(of: Triple, index: Array) -> Triple:
     Returns:
         Three arrays.
     """
-    x, y, z = (x.at[index].get(mode="promise_in_bounds") for x in of)
+    x, y, z = (x[index] for x in of)
     return x, y, z
 
 
@@ -88,6 +123,18 @@ def dot3(a: Triple, b: Triple) -> Array:
         a . b.
     """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross3(a: Triple, b: Triple) -> Triple:
+    """Vector product.
+
+    Args:
+        a: A vector.
+        b: A vector.
+    Returns:
+        a x b.
+    """
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def along(a: Triple, s: Array | float, b: Triple) -> Triple:

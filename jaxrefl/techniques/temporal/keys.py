@@ -7,14 +7,14 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrefl._types import Frame
 from jaxrefl.surface import look
 from jaxrefl.techniques._reproject import same_camera
 from jaxrefl.techniques._tracing import Traced, nothing_traced, trace_reflected
 from jaxrefl.techniques.temporal.buffer import keep
-from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer, State
+from jaxrefl.techniques.temporal.types import REACH, Options, ReflectionBuffer, State
 
 
 def key_frame_of(frame: Frame, image: Traced, *, options: Options) -> ReflectionBuffer:
@@ -68,7 +68,15 @@ def renewed(state: State, key: ReflectionBuffer) -> State:
     return State(key=key, ahead=state.ahead, search_ahead=state.search_ahead)
 
 
-def followed(state: State, frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Options) -> State:
+def followed(
+    state: State,
+    frame: Frame,
+    image: Traced,
+    error: Float[Array, "h w"],
+    from_key: Bool[Array, "h w"],
+    *,
+    options: Options,
+) -> State:
     """The state after a frame that is no key frame.
 
     Args:
@@ -76,6 +84,7 @@ def followed(state: State, frame: Frame, image: Traced, error: Float[Array, "h w
         frame: The frame.
         image: Its reflections, reused and traced.
         error: Expected relative errors; 0 where it was traced.
+        from_key: Pixels that were taken from a key frame.
         options: `recent`.
     Returns:
         With `recent` a state that keeps the frame: what it traced, the next one need not trace again. What it reused
@@ -83,7 +92,17 @@ def followed(state: State, frame: Frame, image: Traced, error: Float[Array, "h w
     """
     if not options.recent or options.method == "as_published":
         return state
-    return dataclasses.replace(state, recent=keep(frame, image, error, options=options))
+    lacking = _around(image.reflection.valid & ~from_key)
+    return dataclasses.replace(state, recent=keep(frame, image, error, options=options), lacking=lacking)
+
+
+@jax.jit
+def _around(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """The pixels within `REACH` of a mask."""
+    size = 2 * REACH + 1
+    for window in ((size, 1), (1, size)):
+        mask = jax.lax.reduce_window(mask, False, jax.lax.bitwise_or, window, (1, 1), "SAME")
+    return mask
 
 
 def is_still(buffer: ReflectionBuffer, frame: Frame) -> bool:

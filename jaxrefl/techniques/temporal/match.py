@@ -20,38 +20,51 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrefl._types import Camera, Frame
+from jaxrefl._types import Camera
+from jaxrefl.core import together
 from jaxrefl.rays import block_size, blocks_of, put_block
 from jaxrefl.techniques._reproject import components
-from jaxrefl.techniques.temporal.flat import Pose, Surfaces, Triple, mirrored, pose, seen_at, surfaces, take
+from jaxrefl.techniques.temporal.flat import Mirrors, Pose, Surfaces, Triple, mirrored, pose, seen_at, take
 from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer, Search
 
 _LONGEST = 64.0
 """Longest step in pixels."""
 _NEAR = 1.0
 """A search has ended when the position found lies this close to the pixel at which it was computed."""
+_ENDED = 1.0e9
+"""Position of a search that has left its mirror."""
 
 
-def search(buffer: ReflectionBuffer, before: Search | None, frame: Frame, *, options: Options) -> Search:
+def search(
+    buffer: ReflectionBuffer,
+    before: Search | None,
+    mirrors: Mirrors,
+    camera: Camera,
+    within: Bool[Array, "h w"] | None = None,
+    *,
+    options: Options,
+) -> Search:
     """Where the reflected points of a key frame are seen now.
 
     Args:
         buffer: The key frame.
         before: The last search in it; None: there was none.
-        frame: The frame to render.
+        mirrors: The pixels of the frame to render.
+        camera: Its camera.
+        within: Key-frame pixels to search; None: all.
         options: `start`, `stride`, `steps`, `late_steps`, `block`.
     Returns:
         Positions of every `stride`-th pixel.
     """
-    now, camera = surfaces(frame.gbuffer.p, frame.gbuffer.ns, frame.gbuffer.object), frame.camera
     grid = _grid(buffer, camera, options.stride)
     place = grid.place if before is None or options.start == "surface" else before.place
-    result, wanted = Search(jnp.copy(place), jnp.zeros_like(grid.found)), grid.found
+    wanted = grid.found if within is None else grid.found & within[:: options.stride, :: options.stride]
+    result = Search(jnp.copy(place), jnp.zeros_like(grid.found))
     image, owner = _flat(buffer, options.stride)
     for steps in (options.steps, options.late_steps)[: 2 if options.late_steps > 0 else 1]:
         start = jnp.copy(result.place)  # what blocks are written to is consumed
         for index in blocks_of(wanted, size=block_size(wanted.size, options.block)):
-            result = put_block(index, result, _search_block(image, owner, now, camera, start, index, steps))
+            result = put_block(index, result, _search_block(image, owner, mirrors.flat, camera, start, index, steps))
         wanted = wanted & ~result.found
     return result
 
@@ -112,7 +125,8 @@ def newton(
         steps: Newton steps.
     Returns:
         x, y in pixels, and whether the search ended within `_NEAR` pixels of where it was computed, on its mirror.
-    Edge cases: a position off the mirror or the image, or a point behind the mirror, ends a search without a result.
+    Edge cases: a position off the mirror, or a point behind it, ends a search without a result; positions outside the
+        image are taken for the border.
     """
 
     def image_of(index: Array) -> tuple[Array, Array, Array]:
@@ -121,10 +135,14 @@ def newton(
         virtual = tuple(a + w * b for a, b in zip(offset, p, strict=True))
         return seen_at(camera, virtual, w)  # pyright: ignore[reportArgumentType]
 
-    def move(_: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x, y, _ = carry
+    def centre(x: Array, y: Array) -> tuple[Array, Array]:
+        """Column and row of the pixel in which a position lies, or which is nearest."""
         column = jnp.clip(jnp.floor(x), 0, now.width - 1).astype(jnp.int32)
-        row = jnp.clip(jnp.floor(y), 0, now.height - 1).astype(jnp.int32)
+        return column, jnp.clip(jnp.floor(y), 0, now.height - 1).astype(jnp.int32)
+
+    def move(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, y = jnp.real(carry[0]), jnp.imag(carry[0])
+        column, row = centre(x, y)
         here = row * now.width + column
         right, below = here + 1, here + now.width
         right_is = (column < now.width - 1) & (now.object[jnp.minimum(right, now.object.shape[0] - 1)] == owner)
@@ -146,12 +164,14 @@ def newton(
         dx, dy = -(d * fx - b * fy) * inverse, -(a * fy - c * fx) * inverse
         length = jnp.sqrt(dx * dx + dy * dy)
         shorten = jnp.minimum(1, _LONGEST / jnp.maximum(length, 1e-6))
-        on_mirror = (now.object[here] == owner) & (depth > 0) & usable
-        found = on_mirror & (jnp.maximum(jnp.abs(dx), jnp.abs(dy)) <= _NEAR)
-        x = jnp.where(on_mirror, cx + dx * shorten, x)
-        y = jnp.where(on_mirror, cy + dy * shorten, y)
-        return x, y, found
+        goes_on = (x < _ENDED) & (now.object[here] == owner) & (depth > 0) & usable
+        there = together(jnp.where(goes_on, cx + dx * shorten, _ENDED), jnp.where(goes_on, cy + dy * shorten, _ENDED))
+        return there, carry[0]
 
     # A loop, although its length is known: in unrolled steps XLA computes each step again for all that follow from it.
-    first = (start[:, 0], start[:, 1], jnp.zeros(w.shape, bool))
-    return jax.lax.fori_loop(0, steps, move, first)
+    first = together(start[:, 0], start[:, 1])
+    last, before = jax.lax.fori_loop(0, steps, move, (first, first))
+    x, y = jnp.real(last), jnp.imag(last)
+    column, row = centre(jnp.real(before), jnp.imag(before))
+    off = jnp.maximum(jnp.abs(x - column.astype(jnp.float32) - 0.5), jnp.abs(y - row.astype(jnp.float32) - 0.5))
+    return x, y, (x < _ENDED) & (off <= _NEAR)

@@ -15,6 +15,7 @@ from jaxrefl.core.safe import norm
 from jaxrefl.surface import reflective
 from jaxrefl.techniques._reproject import pixel_centres
 from jaxrefl.techniques._tracing import Reached, Traced
+from jaxrefl.techniques.temporal.check import no_proposal
 from jaxrefl.techniques.temporal.types import Params, Proposal, Reason, ReflectionBuffer
 
 
@@ -27,10 +28,7 @@ def nothing_offered(gbuffer: GBuffer) -> Proposal:
     Returns:
         A proposal with reason KEY at each reflective pixel.
     """
-    zero = jnp.zeros_like(gbuffer.t)
-    reason = jnp.where(reflective(gbuffer), int(Reason.KEY), int(Reason.NONE)).astype(jnp.int32)
-    wide = jnp.zeros((*zero.shape, 4), jnp.float32)
-    return Proposal(wide[..., :2], reason, zero, wide[..., :3], wide, jnp.full_like(reason, -1), wide[..., :3])
+    return no_proposal(jnp.where(reflective(gbuffer), int(Reason.KEY), int(Reason.NONE)).astype(jnp.int32))
 
 
 @jax.jit

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Camera
+from jaxrefl.core import together
 from jaxrefl.core.safe import divide
 from jaxrefl.rays import block_size, blocks_of, put_block
 from jaxrefl.techniques._reproject import components
@@ -107,18 +108,21 @@ def _match_block(
         allowed = inside & (mirrors.object[at] == owner)
         return jnp.where(allowed, distance(eye, point, w, take(mirrors.p, at), take(mirrors.n, at)), jnp.inf)
 
+    def ring(x: Array, y: Array) -> Array:
+        """The smallest distance around a place, and the number of the neighbour that has it, as one result."""
+        best, chosen = jnp.full(owner.shape, jnp.inf), jnp.zeros(owner.shape)
+        for number, (dx, dy) in enumerate(_RING):
+            d = distance_at(x + dx, y + dy)
+            best, chosen = jnp.where(d < best, d, best), jnp.where(d < best, float(number), chosen)
+        return together(best, chosen)
+
     def move(carry: tuple[Array, ...]) -> tuple[Array, ...]:
         step, x, y, former, running = carry
-        best, best_x, best_y = jnp.full_like(former, jnp.inf), x, y
-        for dx, dy in _RING:
-            d = distance_at(x + dx, y + dy)
-            better = d < best
-            best = jnp.where(better, d, best)
-            best_x, best_y = jnp.where(better, x + dx, best_x), jnp.where(better, y + dy, best_y)
-        ends = ~(best <= former)
-        goes = running & ~ends
-        return (step + 1, jnp.where(goes, best_x, x), jnp.where(goes, best_y, y),
-                jnp.where(goes, best, former), goes)  # fmt: skip
+        found = ring(x, y)
+        best, chosen = jnp.real(found), jnp.imag(found).astype(jnp.int32)
+        goes = running & (best <= former)
+        dx, dy = (jnp.array(d)[chosen] for d in zip(*_RING, strict=True))
+        return (step + 1, jnp.where(goes, x + dx, x), jnp.where(goes, y + dy, y), jnp.where(goes, best, former), goes)
 
     def unfinished(carry: tuple[Array, ...]) -> Array:
         return (carry[0] < steps) & carry[4].any()

@@ -18,7 +18,7 @@ from jaxrefl.techniques._tracing import trace_reflected, trace_refracted
 from jaxrefl.techniques.temporal.keys import advance, followed, key_frame_of, renewed
 from jaxrefl.techniques.temporal.merge import choose, flow_of, nothing_offered, taken_over
 from jaxrefl.techniques.temporal.propose import offer
-from jaxrefl.techniques.temporal.types import Info, Options, Params, State
+from jaxrefl.techniques.temporal.types import Info, Options, Params, State, Taken
 
 
 def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State:  # noqa: B008  frozen
@@ -93,7 +93,8 @@ def step(
     if is_key:
         state = renewed(state, key_frame_of(frame, image, options=options))
     elif not found.exact:
-        state = followed(state, frame, image, jnp.where(taken, proposal.error, 0), options=options)
+        from_key = taken & (found.taken_from != int(Taken.RECENT))
+        state = followed(state, frame, image, jnp.where(taken, proposal.error, 0), from_key, options=options)
     state = jax.block_until_ready(state)
     state = dataclasses.replace(state, age=state.age + 1, spent=state.spent + share)
     counts = {

@@ -14,6 +14,8 @@ from jaxrefl.techniques._reproject import same_camera, seen_before
 from jaxrefl.techniques.temporal.buffer import as_of
 from jaxrefl.techniques.temporal.check import judge, unhidden
 from jaxrefl.techniques.temporal.edges import seek_edges
+from jaxrefl.techniques.temporal.flat import Mirrors, mirrors_of
+from jaxrefl.techniques.temporal.kept import flatten
 from jaxrefl.techniques.temporal.keys import is_still
 from jaxrefl.techniques.temporal.match import search as search_forward
 from jaxrefl.techniques.temporal.merge import as_kept, nothing_offered
@@ -65,16 +67,19 @@ def offer(state: State, frame: Frame, params: Params, *, options: Options) -> tu
     elif same_camera(state.key.camera, frame.camera) and is_still(state.key, frame):
         proposal, exact = as_kept(state.key), True
     else:
-        proposal, search, seconds, too_wide = propose(state.key, state.search, frame, wanted, params, options=options)
+        mirrors = mirrors_of(frame.gbuffer)
+        proposal, search, seconds, too_wide = propose(
+            state.key, state.search, mirrors, frame, wanted, params, options=options
+        )
         state = dataclasses.replace(state, search=search)
-        for buffer, before, code in (
-            (state.ahead, state.search_ahead, Taken.AHEAD),
-            (state.recent, None, Taken.RECENT),
+        for buffer, before, within, code in (
+            (state.ahead, state.search_ahead, None, Taken.AHEAD),
+            (state.recent, None, state.lacking, Taken.RECENT),
         ):
             if buffer is None:
                 continue
             asked = wanted if code == Taken.AHEAD else wanted & (proposal.reason != int(Reason.REUSED))
-            other, search, more, wide = propose(buffer, before, frame, asked, params, options=options)
+            other, search, more, wide = propose(buffer, before, mirrors, frame, asked, params, within, options=options)
             if code == Taken.AHEAD:
                 state = dataclasses.replace(state, search_ahead=search)
             seconds, too_wide = {name: seconds[name] + more[name] for name in seconds}, too_wide + wide
@@ -87,9 +92,11 @@ def offer(state: State, frame: Frame, params: Params, *, options: Options) -> tu
 def propose(
     buffer: ReflectionBuffer,
     before: Search | None,
+    mirrors: Mirrors,
     frame: Frame,
     asked: Bool[Array, "h w"],
     params: Params,
+    within: Bool[Array, "h w"] | None = None,
     *,
     options: Options,
 ) -> tuple[Proposal, Search, dict[str, float], int]:
@@ -98,8 +105,10 @@ def propose(
     Args:
         buffer: The key frame.
         before: The last search in it.
+        mirrors: The pixels of the frame.
         frame: The frame to render.
         asked: Pixels for which to look; the others are UNSEEN.
+        within: Key-frame pixels that have what is looked for; None: all.
         params: Thresholds.
         options: The method, and its steps.
     Returns:
@@ -108,20 +117,23 @@ def propose(
     buffer, moved = as_of(buffer, frame, options=options)
     if options.method == "as_published":
         return (*propose_as_published(buffer, before, frame, moved, params, options=options), 0)
-    times = [time.perf_counter()]
-    search = jax.block_until_ready(search_forward(buffer, before, frame, options=options))
+    times, smooth = [time.perf_counter()], frame.gbuffer.alpha == 0
+    search = jax.block_until_ready(search_forward(buffer, before, mirrors, frame.camera, within, options=options))
     times.append(time.perf_counter())
-    uv, covered, too_wide = jax.block_until_ready(starts(buffer, search, frame, options=options))
+    uv, covered, too_wide = jax.block_until_ready(starts(buffer, search, frame, asked & smooth, options=options))
     times.append(time.perf_counter())
     if frame.scene.features.glossy:
         there, seen = seen_before(frame.gbuffer, buffer.camera, buffer.p, buffer.object, params.surface)
-        uv, covered = _by_roughness(frame.gbuffer.alpha == 0, uv, covered, there, seen)
+        uv, covered = _by_roughness(smooth, uv, covered, there, seen)
     covered = covered & asked
-    refined = refine(buffer, frame.gbuffer, uv, covered, options=options)
-    proposal = jax.block_until_ready(judge(buffer, frame.gbuffer, refined, covered, moved, params))
+    kept = flatten(buffer)
+    refined = jax.block_until_ready(refine(kept, mirrors.rays, smooth, uv, covered, options=options))
     times.append(time.perf_counter())
-    proposal = unhidden(proposal, frame, options=options)
-    proposal = jax.block_until_ready(seek_edges(proposal, refined.uv, buffer, frame, params, options=options))
+    proposal = judge(kept, frame.gbuffer, refined, covered, moved, params, options=options)
+    proposal = unhidden(proposal, mirrors.rays, frame, options=options)
+    proposal = jax.block_until_ready(
+        seek_edges(proposal, refined.uv, kept, mirrors.rays, frame, params, options=options)
+    )
     times.append(time.perf_counter())
     names = ("search", "shift", "refine", "check")
     seconds = {name: b - a for name, a, b in zip(names, times, times[1:], strict=False)}

@@ -3,9 +3,9 @@
 Mirror rays of now + start coordinates + key frame -> coordinates, and how far they are off. With the surface point W',
 the mirror direction w and the bilinear reflected point R(u, v) of the key frame,
 
-    r(u, v) = ((R - W') . a, (R - W') . b) / ((R - W') . w) = 0,
+    R(u, v) - W' = s w                 for some s > 0.
 
-a and b perpendicular to w: the tangent of the angle between the ray and the point. Gauss-Newton, 2 x 2 by hand. The
+Newton's step solves R - W' + du R_u + dv R_v = s w by Cramer's rule: it is exact where what is reflected is flat. The
 last step that would still follow is the residual, in key-frame pixels.
 
 Beyond [XWD17], which takes what its mesh shows: there the interpolated offsets decide, here the law of reflection does.
@@ -16,15 +16,15 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxrefl._types import GBuffer
-from jaxrefl.core import frame_from_normal
+from jaxrefl._types import Rays
+from jaxrefl.core import apart, together
 from jaxrefl.rays import block_size, blocks_of, put_block, take_block
-from jaxrefl.surface import mirror_direction
-from jaxrefl.techniques._reproject import SNAP, components, footprint
-from jaxrefl.techniques.temporal.flat import Triple, along, dot3
-from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer
+from jaxrefl.techniques._reproject import SNAP, footprint
+from jaxrefl.techniques.temporal.flat import Triple, along, cross3, dot3, split
+from jaxrefl.techniques.temporal.kept import Kept
+from jaxrefl.techniques.temporal.types import Options
 
 _LONGEST = 4.0
 """Longest step in key-frame pixels."""
@@ -42,8 +42,9 @@ class Refined(eqx.Module):
 
 
 def refine(
-    buffer: ReflectionBuffer,
-    gbuffer: GBuffer,
+    kept: Kept,
+    mirrors: Rays,
+    smooth: Bool[Array, "h w"],
     uv: Float[Array, "h w 2"],
     wanted: Bool[Array, "h w"],
     *,
@@ -52,83 +53,58 @@ def refine(
     """Places in the key frame whose reflected points lie on the mirror rays of pixels.
 
     Args:
-        buffer: The key frame.
-        gbuffer: What is seen now.
+        kept: The key frame.
+        mirrors: Surface points and mirror directions of now [h w].
+        smooth: Pixels whose place moves; the others are only evaluated where they are.
         uv: Coordinates to start from.
-        wanted: Pixels to refine; mirrors move, rough surfaces are only evaluated where they are.
+        wanted: Pixels to refine.
         options: `refine_steps`, `block`.
     Returns:
         Coordinates [h w]; elsewhere `uv` with an infinite residual.
+    Edge cases: between a point and the environment, or between two things, the residual means nothing: the caller
+        must look at `CONNECTED`.
     """
-    image = _flat(buffer.reflected)
     infinite = jnp.full(wanted.shape, jnp.inf, jnp.float32)
     result = Refined(jnp.copy(uv), infinite, jnp.copy(infinite))
     for index in blocks_of(wanted, size=block_size(wanted.size, options.block)):
-        result = put_block(
-            index, result, _refine_block(image, buffer.t.shape, gbuffer, uv, index, options.refine_steps)
-        )
+        block = _refine_block(kept, (mirrors, smooth, uv), index, options.refine_steps)
+        result = put_block(index, result, block)
     return result
 
 
-_flat = jax.jit(components)
-
-
-@functools.partial(jax.jit, static_argnums=(1, 5))
+@functools.partial(jax.jit, static_argnums=3)
 def _refine_block(
-    image: tuple[Array, ...], shape: tuple[int, ...], gbuffer: GBuffer, uv: Array, index: Array, steps: int
+    kept: Kept,
+    pixels: tuple[Rays, Bool[Array, "h w"], Float[Array, "h w 2"]],
+    index: Int[Array, "n"],
+    steps: int,
 ) -> Refined:
-    points = take_block(gbuffer, index)
-    return gauss_newton(image, shape, points, take_block(uv, index), steps=steps)
+    mirrors, smooth, start = take_block(pixels, index)
+    p, w = split(mirrors.origin), split(mirrors.direction)
 
-
-def gauss_newton(
-    image: tuple[Array, ...], shape: tuple[int, ...], points: GBuffer, start: Float[Array, "n 2"], *, steps: int
-) -> Refined:
-    """Places in the key frame whose reflected points lie on mirror rays.
-
-    Args:
-        image: Reflected points of the key frame as flat components (x, y, z, 1), or directions (x, y, z, 0).
-        shape: Its (height, width).
-        points: Surface points of now.
-        start: Coordinates to start from.
-        steps: Gauss-Newton steps; rough points take none.
-    Returns:
-        Coordinates and residuals.
-    Edge cases: between a point and the environment, or between two things, the residual means nothing: the caller
-        must look at `connected`.
-    """
-    wi = mirror_direction(points)
-    tangent, bitangent = frame_from_normal(wi)
-    axes = tuple(_split(x) for x in (tangent, bitangent, wi))
-    p = _split(points.p)
-    moving = points.alpha == 0
-
-    def at(u: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        return _step(image, shape, p, axes, u, v)  # pyright: ignore[reportArgumentType]
-
-    def move(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        u, v = carry
-        du, dv, _, _ = at(u, v)
+    def move(_: Array, place: Array) -> Array:
+        u, v = jnp.real(place), jnp.imag(place)
+        du, dv, _, _ = _step(kept, p, w, u, v)
         length = jnp.sqrt(du * du + dv * dv)
-        shorten = jnp.where(moving, jnp.minimum(1, _LONGEST / jnp.maximum(length, 1e-6)), 0)
-        return u + shorten * du, v + shorten * dv
+        shorten = jnp.where(smooth, jnp.minimum(1, _LONGEST / jnp.maximum(length, 1e-6)), 0)
+        return together(u + shorten * du, v + shorten * dv)
 
-    u, v = jax.lax.fori_loop(0, steps, move, (start[:, 0], start[:, 1]))
-    du, dv, angle, usable = at(u, v)
-    residual = jnp.where(usable, jnp.sqrt(du * du + dv * dv), jnp.inf)
-    return Refined(jnp.stack([u, v], -1), residual, angle)
+    place = jax.lax.fori_loop(0, steps, move, together(start[:, 0], start[:, 1]))
+    u, v = jnp.real(place), jnp.imag(place)
+
+    def judge(u: Array, v: Array) -> Array:
+        du, dv, usable, angle = _step(kept, p, w, u, v)
+        return together(jnp.where(usable, jnp.sqrt(du * du + dv * dv), jnp.inf), angle)
+
+    off = apart(index >= 0, judge, u, v)
+    return Refined(jnp.stack([u, v], -1), jnp.real(off), jnp.imag(off))
 
 
-def _split(x: Float[Array, "n 3"]) -> Triple:
-    return x[:, 0], x[:, 1], x[:, 2]
-
-
-def _step(
-    image: tuple[Array, ...], shape: tuple[int, ...], p: Triple, axes: tuple[Triple, Triple, Triple], u: Array, v: Array
-) -> tuple[Array, Array, Array, Array]:
-    """The Gauss-Newton step from (u, v), the tangent of the angle there, and whether the step is defined."""
-    at = footprint(jnp.stack([u, v], -1), shape=shape, snap=SNAP)
-    c00, c10, c01, c11 = (tuple(x[i] for x in image) for i in at.corners)
+def _step(kept: Kept, p: Triple, w: Triple, u: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+    """Newton's step from (u, v), 0 where there is none; whether (u, v) lies in the image and has one; and the tangent
+    of the angle between ray and point there, infinite behind."""
+    at = footprint(jnp.stack([u, v], -1), shape=kept.shape, snap=SNAP)
+    c00, c10, c01, c11 = (tuple(x[i] for x in kept.reflected) for i in at.corners)
     fx, fy = at.fx, at.fy
 
     def mix(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Array]:
@@ -138,16 +114,12 @@ def _step(
     mixed = [mix(*values) for values in zip(c00, c10, c01, c11, strict=True)]
     point, along_u, along_v = ((mixed[0][i], mixed[1][i], mixed[2][i]) for i in range(3))
     offset = along(point, -mixed[3][0], p)
-    a, b, w = axes
-    ahead = dot3(offset, w)
-    inverse = jnp.where(ahead > 0, 1 / jnp.where(ahead > 0, ahead, 1), 0)
-    ra, rb = dot3(offset, a) * inverse, dot3(offset, b) * inverse
-    wu, wv = dot3(along_u, w), dot3(along_v, w)
-    au, av = (dot3(along_u, a) - ra * wu) * inverse, (dot3(along_v, a) - ra * wv) * inverse
-    bu, bv = (dot3(along_u, b) - rb * wu) * inverse, (dot3(along_v, b) - rb * wv) * inverse
-    det = au * bv - av * bu
-    usable = (ahead > 0) & (jnp.abs(det) > 1e-20)
-    scale = jnp.where(usable, 1 / jnp.where(usable, det, 1), 0)
-    du, dv = -(bv * ra - av * rb) * scale, -(au * rb - bu * ra) * scale
-    angle = jnp.where(ahead > 0, jnp.sqrt(ra * ra + rb * rb), jnp.inf)
-    return du, dv, angle, usable & at.inside
+    across_u, across_v = cross3(along_v, w), cross3(w, along_u)
+    det, ahead = dot3(along_u, across_u), dot3(offset, w)
+    in_front = ahead > 0
+    near = jnp.where(in_front, 1 / jnp.where(in_front, ahead, 1), 0)
+    usable = in_front & (jnp.abs(det * near * near) > 1e-20)
+    inverse = jnp.where(usable, 1 / jnp.where(usable, det, 1), 0)
+    aside = along(offset, -ahead, w)
+    angle = jnp.where(in_front, jnp.sqrt(dot3(aside, aside)) * near, jnp.inf)
+    return -dot3(offset, across_u) * inverse, -dot3(offset, across_v) * inverse, usable & at.inside, angle

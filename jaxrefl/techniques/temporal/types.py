@@ -11,6 +11,9 @@ from jaxrefl.techniques import _shape
 from jaxrefl.techniques._knobs import check_options, option, tunable
 from jaxrefl.techniques._reproject import KeyOptions
 
+REACH = 4
+"""Pixels around what the key frame lacks in which the frame before is searched too."""
+
 
 class Reason(enum.IntEnum):
     """Why a pixel was reused or not; the values of `Info.reason`."""
@@ -108,7 +111,7 @@ class Options(KeyOptions):
     steps: int = option(3, "Newton steps of each search; those that need more are compacted.", low=1, high=32)
     late_steps: int = option(4, "Newton steps for searches that have not ended after `steps`.", low=0, high=64)
     refine_steps: int = option(2, "Gauss-Newton steps from the start to the sub-pixel result.", low=0, high=16)
-    spread: int = option(2, "Pixels over which gaps between starts are closed.", low=0, high=8)
+    spread: int = option(4, "Pixels over which gaps between starts are closed.", low=0, high=8)
     inner: str = option(
         "trace", "Mirrors and glass seen in mirrors, if they are followed: trace, or reuse.", choices=("trace", "reuse")
     )
@@ -195,6 +198,8 @@ class State(eqx.Module):
     """Last search in that."""
     recent: ReflectionBuffer | None = None
     """The frame before, with `recent`; None: that was a key frame, or there was none."""
+    lacking: Bool[Array, "h w"] | None = None
+    """Where that has, within `REACH` pixels, what the key frame lacks."""
     age: int = 0
     """Frames since the key frame."""
     spent: float = 0.0
@@ -202,22 +207,22 @@ class State(eqx.Module):
 
 
 class Proposal(eqx.Module):
-    """What a key frame offers for each pixel."""
+    """What a key frame offers for each pixel; all but `reason` mean something where that is REUSED or CONTRAST."""
 
     uv: Float[Array, "*b 2"]
-    """Coordinate in the key frame, pixels; fill 0."""
+    """Coordinate in the key frame, pixels."""
     reason: Int[Array, "*b"]
     """REUSED where the pixel may be taken, else why not."""
     error: Float[Array, "*b"]
-    """Expected relative error of the radiance; fill 0."""
+    """Expected relative error of the radiance."""
     radiance: Float[Array, "*b 3"]
-    """Reflected radiance; fill 0 where there is none."""
+    """Reflected radiance."""
     reflected: Float[Array, "*b 4"]
-    """Reflected point or direction; fill 0."""
+    """Reflected point or direction."""
     triangle: Int[Array, "*b"]
-    """Reflected triangle of the nearest pixel; -1 for the environment; fill -1."""
+    """Reflected triangle of the nearest pixel; -1 for the environment."""
     seen: Float[Array, "*b 3"]
-    """What contrast is judged by; fill 0."""
+    """What contrast is judged by."""
 
 
 class Info(_shape.Info):
