@@ -32,11 +32,13 @@ from pipelines.bench_stability import bench_stability
 from pipelines.bench_temporal import (
     INNER,
     PLAIN,
+    Route,
     compare_errors,
     compare_times,
     open_path,
     plot_sweep,
     reuse_growth,
+    stage_costs,
     sweep,
 )
 from pipelines.stamp import hardware, versions
@@ -228,6 +230,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--mitsuba", nargs="+", metavar="SCENE", help="instead: agreement with Mitsuba 3, and speed")
     parser.add_argument("--lightmap", nargs="+", metavar="SCENE", help="instead: errors of light maps in these scenes")
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
+    parser.add_argument("--part", choices=("errors", "times", "knobs", "growth", "all"), default="all",
+                        help="which of its tables to make (--temporal)")  # fmt: skip
     parser.add_argument("--side", type=int, default=1024, help="width and height of the images (--temporal)")
     parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal)")
     parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")
@@ -302,35 +306,50 @@ def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
 def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
     side, frames, loop = (64, 4, arguments.loop) if arguments.quick else (
         arguments.side, arguments.frames, arguments.loop)  # fmt: skip
-    titles = [
-        f"{frames} frames of a loop of {loop}, {side} x {side} pixels, light from a map",
-        "Time against ray tracing with other light",
-        "Milliseconds per stage, frames that are no key frames",
-        "Knobs, one at a time",
-        "Milliseconds of all stages but tracing, by triangles and pixels",
-    ]
-    sections: dict[str, list[dict]] = {title: [] for title in titles}
-
-    def add(*parts: list[dict]) -> None:  # kept as it grows: it takes long
-        for title, rows in zip(titles, parts, strict=False):
-            sections[title] += rows
-        command = f"jaxrefl bench --temporal SCENE ... --side {side} --frames {frames} --loop {loop}"
-        _write(arguments.out, "temporal", argv, sections, [command])
-
     texels = 4096 if arguments.quick else 2**15 * (side // 512 + 1)
-    routes = [open_path(name, (side, side), frames, loop, texels=texels) for name in arguments.temporal]
-    for path in routes:
-        rows, stages = compare_errors(path)
-        add(rows, [], stages)
-        for light, variants, count in (("direct", PLAIN, frames), ("path", INNER, max(frames // 3, 2))):
-            part = path._replace(frames=path.frames[:count])
-            rows, stages = compare_times(part, light, variants, every=max(count // 3, 1))
-            add([], rows, stages)
-    knobs = sweep(routes[0]._replace(frames=routes[0].frames[:8]))
-    plot_sweep(knobs, arguments.out / "temporal.png")
-    add([], [], [], knobs)
-    sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
-    add([], [], [], [], reuse_growth(sides, triangles))
+    command = f"jaxrefl bench --temporal SCENE ... --side {side} --frames {frames} --loop {loop} --part "
+    stages_title = "Milliseconds per stage, frames that are no key frames"
+
+    def write(part: str, sections: dict[str, list[dict]]) -> None:
+        _write(arguments.out, f"temporal_{part}", argv, sections, [command + part])
+
+    def route(name: str) -> Route:
+        return open_path(name, (side, side), frames, loop, texels=texels)
+
+    def errors() -> None:
+        title = f"{frames} frames of a loop of {loop}, {side} x {side} pixels, light from a map"
+        sections: dict[str, list[dict]] = {title: [], stages_title: []}
+        for name in arguments.temporal:
+            rows, stages = compare_errors(route(name))
+            sections[title] += rows
+            sections[stages_title] += stages
+            write("errors", sections)  # kept as it grows: it takes long
+
+    def times() -> None:
+        title = f"Time against ray tracing, {side} x {side} pixels"
+        sections: dict[str, list[dict]] = {title: [], stages_title: []}
+        for name in arguments.temporal:
+            for light, variants in (("direct", PLAIN), ("path", INNER)):
+                rows, stages = compare_times(route(name), light, variants, every=max(frames // 3, 1))
+                sections[title] += rows
+                sections[stages_title] += stages
+                write("times", sections)
+
+    def knobs() -> None:
+        rows = sweep(route(arguments.temporal[0]))
+        plot_sweep(rows, arguments.out / "temporal_knobs.png")
+        write("knobs", {f"Knobs, one at a time; {frames} frames, {side} x {side} pixels": rows})
+
+    def growth() -> None:
+        sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
+        write("growth", {
+            "Milliseconds of all stages but tracing, by triangles and pixels": reuse_growth(sides, triangles),
+            f"Stages beside their gathers, scatters and rays alone, {side} x {side} pixels": stage_costs(side),
+        })  # fmt: skip
+
+    for part in (errors, times, knobs, growth):
+        if arguments.part in (part.__name__, "all"):
+            part()
 
 
 _OTHERS = {

@@ -7,19 +7,21 @@ sample, and 16 paths per pixel. Every step is run again if JAX compiled during i
 
 import dataclasses
 import statistics
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxrefl._types import Frame, GBuffer, Reflection
+from jaxrefl._types import Frame, GBuffer, Rays, Reflection
 from jaxrefl.composite import blend
 from jaxrefl.metrics import mae255
 from jaxrefl.radiance import LightOptions, diffuse_light
 from jaxrefl.surface import look, reflective
 from jaxrefl.techniques import TECHNIQUES
+from jaxrefl.techniques.temporal import Reason
 from pipelines.job import Job, SceneSource
 from pipelines.measure import timed
 from pipelines.resolve import resolve
@@ -37,8 +39,10 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "envmap": ("envmap", {}),
 }
 """What is compared with ray tracing, and its knobs."""
+NOISE = "raytrace, other samples"
+"""Ray tracing against itself: the noise of rough reflections, which no method can go below."""
 PLAIN: dict[str, dict[str, Any]] = {"temporal": {}}
-INNER = PLAIN | {"temporal, inner reused": {"inner": "reuse"}}
+INNER = PLAIN | {"temporal, inner mirrors reused": {"inner_mirrors": "reuse"}}
 """Variants whose time is taken: as it is, and with mirrors in mirrors reused as in the paper."""
 SWEEP: dict[str, tuple[Any, ...]] = {
     "contrast": (0.01, 0.03, 0.1, 0.3),
@@ -51,9 +55,14 @@ SWEEP: dict[str, tuple[Any, ...]] = {
     "occlusion": ("rays", "depths"),
     "edges": ("ray", "trace"),
     "recent": (True, False),
+    "spread": (0, 2, 4, 8),
+    "search_steps": (4, 16, 150),
+    "discontinuity": (0.01, 0.05, 0.2),
     "method": ("refined", "as_published"),
 }
 """Knobs of `temporal` and the values they are tried with, one at a time."""
+PUBLISHED = ("search_steps", "discontinuity")
+"""Knobs of the published method."""
 
 
 class Route(NamedTuple):
@@ -103,6 +112,13 @@ def _looked(path: Route) -> Iterator[Looked]:
         moved = np.linalg.norm(np.asarray(gbuffer.motion), axis=-1)[np.asarray(gbuffer.valid)]
         frame = Frame(stage.scene, camera, gbuffer, key, stage.tracer)
         yield Looked(frame, diffuse, float(moved.mean()) if moved.size else 0.0)
+
+
+def _frames(path: Route) -> Iterator[Frame]:
+    stage = path.stage
+    for number in path.frames:
+        camera = stage.camera(number)
+        yield Frame(stage.scene, camera, look(stage.scene, stage.tracer, camera), stage.key(number, 1), stage.tracer)
 
 
 class _Runner:
@@ -178,9 +194,12 @@ def compare_errors(path: Route) -> tuple[Rows, Rows]:
     """
     truth = _Runner(path, "raytrace", BAKED)
     runners = {label: _Runner(path, name, BAKED | knobs) for label, (name, knobs) in METHODS.items()}
-    errors, motion, share = {label: _Errors() for label in runners}, [], []
-    for seen in _looked(path):
+    errors, motion, share = {label: _Errors() for label in (NOISE, *runners)}, [], []
+    for number, seen in enumerate(_looked(path)):
         traced = truth.step(seen.frame)
+        if number % 8 == 0:
+            again = dataclasses.replace(seen.frame, key=jax.random.fold_in(seen.frame.key, 1))
+            errors[NOISE].add(seen, truth.step(again), traced)
         motion.append(seen.motion)
         share.append(float(reflective(seen.frame.gbuffer).mean()))
         for label, runner in runners.items():
@@ -190,6 +209,7 @@ def compare_errors(path: Route) -> tuple[Rows, Rows]:
     rows = [facts | {"method": "raytrace", "MAE of 255": 0.0, "MAE of 255, mirrors": 0.0, "ms per frame": 1e3 * base,
             "recomputed, between key frames": None, "recomputed, all": 1.0, "frames per key frame": 1.0,
             "speed-up": 1.0}]  # fmt: skip
+    rows.append({key: None for key in rows[0]} | facts | {"method": NOISE} | errors[NOISE].columns())
     for label, runner in runners.items():
         row = facts | {"method": label} | errors[label].columns() | runner.row(label)
         rows.append(row | {"speed-up": base / statistics.fmean(runner.seconds)})
@@ -237,7 +257,12 @@ def sweep(path: Route) -> Rows:
     Returns:
         One row per knob and value.
     """
-    tried = [("defaults", "", {})] + [(k, v, {k: v}) for k, values in SWEEP.items() for v in values]
+    published = {"method": "as_published"}
+    tried = [("defaults", "", {})] + [
+        (knob, value, {knob: value} | (published if knob in PUBLISHED else {}))
+        for knob, values in SWEEP.items()
+        for value in values
+    ]
     truth = _Runner(path, "raytrace", BAKED)
     runners = [(knob, value, _Runner(path, "temporal", BAKED | knobs), _Errors()) for knob, value, knobs in tried]
     for seen in _looked(path):
@@ -268,15 +293,75 @@ def reuse_growth(sides: tuple[int, ...], triangles: tuple[int, ...], *, scene: s
             job = Job(source, techniques=("raytrace",), frames=240, size=(side, side))
             path = Route(Stage(resolve(job)), (0, 1, 2, 3, 4))
             runner = _Runner(path, "temporal", {"threshold": 1.0})
-            for number in path.frames:
-                camera = path.stage.camera(number)
-                gbuffer = look(path.stage.scene, path.stage.tracer, camera)
-                runner.step(Frame(path.stage.scene, camera, gbuffer, path.stage.key(number, 1), path.stage.tracer))
+            for frame in _frames(path):
+                runner.step(frame)
             stages = [runner.infos[i].seconds for i in (2, 3, 4)]
             reuse = {name: 1e3 * statistics.median(s[name] for s in stages) for name in stages[0] if name != "trace"}
             faces = int(path.stage.scene.mesh.faces.shape[0])
             rows.append({"triangles": faces, "side": side, **reuse, "all but tracing": sum(reuse.values())})
     return rows
+
+
+def stage_costs(side: int, *, scene: str = "mirror_room") -> Rows:
+    """Each stage beside what its gathers, scatters and rays cost when nothing else is done.
+
+    Args:
+        side: Image side in pixels.
+        scene: A built-in scene.
+    Returns:
+        One row per stage of the second frame after a key frame. `alone` is the number of single floats that are
+        gathered from neighbouring places or scattered, times their measured cost, and the shadow rays as cast.
+    """
+    path = Route(Stage(resolve(Job(SceneSource(scene), techniques=("raytrace",), frames=240, size=(side, side)))),
+                 (0, 1, 2, 3))  # fmt: skip
+    runner = _Runner(path, "temporal", {"threshold": 1.0, "recent": False})
+    frames = list(_frames(path))
+    for frame in frames:
+        runner.step(frame)
+    options, info, gbuffer = runner.options, runner.infos[-1], frames[-1].gbuffer
+    gather, scatter, ray = _unit_costs(path, gbuffer)
+    mirrors = int(_mirrors(gbuffer).sum())
+    grid = mirrors / options.stride**2
+    edges = int(np.isin(np.asarray(info.reason), (Reason.EDGE, Reason.HIDDEN, Reason.RESIDUAL)).sum())
+    counts = {
+        # Three mirrors of 6 floats and an object each, per step; 3 results.
+        "search": (grid * options.steps * 21, grid * 3, 0),
+        # Two triangles a point: 9 floats, 4 pixels in two passes; 6 floats per pixel drawn.
+        "shift": (grid * 2 * (9 + 4 * 3) + mirrors * 6, grid * 2 * 8, 0),
+        # Four corners of 4 floats per step and for the residual; 4 results.
+        "refine": (mirrors * (options.refine_steps + 1) * 16, mirrors * 4, 0),
+        # Four corners of 12 floats, 3 more; 15 results; a ray each, and those of edges.
+        "check": (mirrors * 51, mirrors * 15, mirrors + edges),
+    }
+    return [
+        {
+            "stage": stage,
+            "gathers, M": gathers / 1e6,
+            "scatters, M": scatters / 1e6,
+            "rays, M": rays / 1e6,
+            "alone ms": (alone := 1e3 * (gathers * gather + scatters * scatter + rays * ray)),
+            "measured ms": 1e3 * info.seconds[stage],
+            "ratio": 1e3 * info.seconds[stage] / alone,
+        }
+        for stage, (gathers, scatters, rays) in counts.items()
+    ]
+
+
+def _unit_costs(path: Route, gbuffer: GBuffer) -> tuple[float, float, float]:
+    """Seconds per float gathered, per float scattered, and per shadow ray."""
+    count = gbuffer.t.size
+    source, index = gbuffer.t.reshape(-1), jnp.arange(count, dtype=jnp.int32)
+    gather = jax.jit(lambda x, i: x[i] + x[jnp.minimum(i + 1, count - 1)])
+    scatter = jax.jit(lambda x, i: jnp.zeros_like(x).at[i].set(x, mode="drop"))
+    rays = Rays(gbuffer.p + 1e-3 * gbuffer.n, gbuffer.n)
+    far = jnp.where(gbuffer.valid, jnp.float32(1), 0)
+    casts = max(int(gbuffer.valid.sum()), 1)
+
+    def median(call: Callable[[], Any]) -> float:
+        return statistics.median(timed(call).seconds for _ in range(5))
+
+    seconds = [median(lambda: gather(source, index)), median(lambda: scatter(source, index))]
+    return seconds[0] / (2 * count), seconds[1] / count, median(lambda: path.stage.tracer.occluded(rays, far)) / casts
 
 
 def plot_sweep(rows: Rows, out: Path) -> None:

@@ -269,6 +269,6 @@ def test_a_mirror_seen_in_a_mirror_is_traced_when_it_is_followed():
     )
     parts = [floor("ground", mirror("polished")), wall, pillar("front", (0.9, 0.1, 0.1), FRONT)]
     scene = assemble(Description("mirrors", parts, ambient=(1.0, 1.0, 1.0)))
-    options = dataclasses.replace(KEEP, bounces=1)
+    options = dataclasses.replace(KEEP, bounces=1, inner_mirrors="trace")
     info = run(temporal, [0.0, 1.0], scene=scene, options=options)[1][2]
     assert (np.asarray(info.reason) == Reason.CHANGING).any()

@@ -45,7 +45,7 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Op
         frame: The frame.
         image: Its reflections.
         error: Expected relative error of each; 0 where it was traced.
-        options: `noise`, `light`: what contrast is judged by; `inner`: whether mirrors in mirrors may be reused.
+        options: `noise`, `light`: what contrast is judged by; `inner_mirrors`: whether they count.
     Returns:
         The buffer.
     Edge cases: reflections of the environment have a direction in place of a point.
@@ -53,7 +53,7 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Op
     Differs from the source: line 3 back-projects the primary depth (the paper's `s.r` there is a slip); positions are
         those of the G-buffer, which are more exact than back-projection, and of mirrors the points that were hit.
     """
-    noisy, inner = is_noisy(frame.scene, options), options.inner == "reuse"
+    noisy, inner = is_noisy(frame.scene, options), options.inner_mirrors == "reuse"
     buffer = _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, (noisy, inner))
     # The very array of the scene: that nothing has moved is then seen without looking at the vertices.
     return dataclasses.replace(buffer, vertices=frame.scene.mesh.vertices)

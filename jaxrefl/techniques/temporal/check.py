@@ -7,6 +7,7 @@ Beyond [XWD17], whose mask only knows gaps and magnified triangles: its Fig. 9 s
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from jaxrefl.core.safe import norm
 from jaxrefl.rays import block_size, blocks_of, offset_origin, put_block, take_block
 from jaxrefl.surface import reflective
 from jaxrefl.techniques._reproject import SNAP, Footprint, footprint, read
+from jaxrefl.techniques.temporal.flat import Triple, along, cross3, dot3, split
 from jaxrefl.techniques.temporal.kept import CONNECTED, KNOWN, SMOOTH, STEADY, Kept, flags_at, has
 from jaxrefl.techniques.temporal.refine import Refined
 from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason
@@ -48,14 +50,16 @@ def judge(
         refined: Place and residual per pixel.
         covered: Where there was a start.
         moved: Where the reflector has moved.
-        params: `tolerance`, `contrast`, `lobe`.
-        options: `block`.
+        params: `tolerance`, `contrast`, `lobe`, `inner`.
+        options: `inner_mirrors`, `block`.
     Returns:
         The proposal; a place within `SNAP` of a key-frame pixel needs no neighbours and has no error.
     """
     proposal, tested = _untested(gbuffer, covered, moved)
     for index in blocks_of(tested, size=block_size(tested.size, options.block)):
-        proposal = put_block(index, proposal, _judge_block(kept, (refined, gbuffer.alpha), index, params))
+        pixels = (refined, gbuffer.alpha, gbuffer.p)
+        block = _judge_block(kept, pixels, index, params, options.inner_mirrors == "turn")
+        proposal = put_block(index, proposal, block)
     return proposal
 
 
@@ -83,13 +87,18 @@ def no_proposal(reason: Int[Array, "*b"]) -> Proposal:
     return Proposal(wide[..., :2], reason, zero, wide[..., :3], wide, jnp.full_like(reason, -1), wide[..., :3])
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnums=4)
 def _judge_block(
-    kept: Kept, pixels: tuple[Refined, Float[Array, "h w"]], index: Int[Array, "n"], params: Params
+    kept: Kept,
+    pixels: tuple[Refined, Float[Array, "h w"], Float[Array, "h w 3"]],
+    index: Int[Array, "n"],
+    params: Params,
+    turns: bool,
 ) -> Proposal:
-    refined, alpha = take_block(pixels, index)
+    refined, alpha, p = take_block(pixels, index)
     at = footprint(refined.uv, shape=kept.shape, snap=SNAP)
-    tested = apart(index >= 0, _tests, kept, at, refined, alpha, params)
+    turned = apart(~has(kept.flags, STEADY), _turn, kept, at, split(p)) if turns else None
+    tested = apart(index >= 0, _tests, kept, at, refined, alpha, turned, params)
     nearest = at.cell + jnp.where(at.fx >= 0.5, 1, 0) + jnp.where(at.fy >= 0.5, at.width, 0)
 
     def stacked(image: tuple[Array, ...]) -> Array:
@@ -107,7 +116,12 @@ def _judge_block(
 
 
 def _tests(
-    kept: Kept, at: Footprint, refined: Refined, alpha: Float[Array, "n"], params: Params
+    kept: Kept,
+    at: Footprint,
+    refined: Refined,
+    alpha: Float[Array, "n"],
+    turned: Float[Array, "n"] | None,
+    params: Params,
 ) -> Complex[Array, "n"]:
     """Reason codes as numbers, small enough to be exact, and expected errors."""
     flags, smooth = flags_at(kept, at), alpha == 0
@@ -116,17 +130,30 @@ def _tests(
     turn = refined.tangent / jnp.maximum(alpha, 1e-6)
     between = jnp.where(smooth, _expected_error(kept, at), params.contrast * turn / jnp.maximum(params.lobe, 1e-6))
     error = read([kept.error], at)[0] + between
+    steady = has(flags, STEADY)
+    if turned is not None:
+        error = error + jnp.where(smooth & ~steady, params.contrast * turned / jnp.maximum(params.inner, 1e-6), 0)
+        steady = steady | (turned <= params.inner)
     # The first test that fails is the reason, so the last one written wins.
     reason = jnp.full(alpha.shape, float(Reason.REUSED))
     for failed, code in (
         (error > jnp.where(smooth, params.contrast, 2 * params.contrast), Reason.CONTRAST),
         (~smooth & (turn > params.lobe), Reason.LOBE),
-        (~has(flags, STEADY) & smooth, Reason.CHANGING),
+        (~steady & smooth, Reason.CHANGING),
         (smooth & ~(refined.residual <= params.tolerance), Reason.RESIDUAL),
         (~jnp.where(smooth, whole, has(flags, KNOWN)), Reason.EDGE),
     ):
         reason = jnp.where(failed, float(code), reason)
     return together(reason, error)
+
+
+def _turn(kept: Kept, at: Footprint, p: Triple) -> Float[Array, "n"]:
+    """Sine of the angle by which the direction in which a reflected point is seen has turned since the key frame."""
+    x, y, z, w, *then = read((*kept.reflected, *kept.p), at)
+    now, before = along((x, y, z), -w, p), along((x, y, z), -w, (then[0], then[1], then[2]))
+    across, length = cross3(now, before), dot3(now, now) * dot3(before, before)
+    sine = jnp.sqrt(dot3(across, across) / jnp.where(length > 0, length, 1))
+    return jnp.where(dot3(now, before) > 0, sine, jnp.inf)
 
 
 def _expected_error(kept: Kept, at: Footprint) -> Float[Array, "n"]:

@@ -20,6 +20,7 @@ class Kept(eqx.Module):
     """The key frame, flattened; fields as in `ReflectionBuffer`."""
 
     flags: Int[Array, "m"]
+    p: tuple[Float[Array, "m"], ...]
     reflected: tuple[Float[Array, "m"], ...]
     radiance: tuple[Float[Array, "m"], ...]
     seen: tuple[Float[Array, "m"], ...]
@@ -53,6 +54,7 @@ def flatten(buffer: ReflectionBuffer) -> Kept:
     h, w = buffer.valid.shape
     return Kept(
         flags=flags.reshape(-1),
+        p=components(buffer.p),
         reflected=components(buffer.reflected),
         radiance=components(buffer.radiance),
         seen=components(buffer.seen),

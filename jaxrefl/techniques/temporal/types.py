@@ -77,6 +77,9 @@ class Params(eqx.Module):
     lobe: Float[Array, ""] = tunable(
         0.1, 0.0, 2.0, "Turn of a rough reflection, as a share of its lobe's width, up to which it is reused."
     )
+    inner: Float[Array, ""] = tunable(
+        0.015, 1e-6, 1.0, "Turn of a mirror or glass seen in a mirror up to which it is reused (radians)."
+    )
     surface: Float[Array, ""] = tunable(
         0.004, 0.0, 0.1, "Distance to the surface seen before, as a share of the distance to the viewer."
     )
@@ -112,8 +115,10 @@ class Options(KeyOptions):
     late_steps: int = option(4, "Newton steps for searches that have not ended after `steps`.", low=0, high=64)
     refine_steps: int = option(2, "Gauss-Newton steps from the start to the sub-pixel result.", low=0, high=16)
     spread: int = option(4, "Pixels over which gaps between starts are closed.", low=0, high=8)
-    inner: str = option(
-        "trace", "Mirrors and glass seen in mirrors, if they are followed: trace, or reuse.", choices=("trace", "reuse")
+    inner_mirrors: str = option(
+        "turn",
+        "Mirrors and glass seen in mirrors, if they are followed: reuse until they have turned, trace, or reuse.",
+        choices=("turn", "trace", "reuse"),
     )
     noise: str = option(
         "auto",
