@@ -84,6 +84,7 @@ CASES = {
     "ggx.visible_normal_pdf": every(UNITS, UNITS, ALPHAS),
     "ggx.reflection_pdf": every(UNITS, UNITS, ALPHAS),
     "apart.apart": (jnp.ones(3, bool), core.safe.sqrt, *every(SHARES)),
+    "apart.together": every(SHARES, SHARES),
     "albedo.ggx_albedo": every(COSINES, ALPHAS),
     "albedo.lobe_fresnel_cosine": every(COSINES, ALPHAS),
     "sampling.stratified": (jax.random.key(0), 1),
@@ -140,7 +141,8 @@ def test_values_and_gradients_are_finite(name: str):
         filled = list(leaves)
         for i, value in zip(varied, values, strict=True):
             filled[i] = value
-        return jax.tree.leaves(FUNCTIONS[name](*jax.tree.unflatten(structure, filled)))
+        results = jax.tree.leaves(FUNCTIONS[name](*jax.tree.unflatten(structure, filled)))
+        return [part for x in results for part in ((x.real, x.imag) if jnp.iscomplexobj(x) else (x,))]
 
     values = [leaves[i] for i in varied]
     results = jax.jit(outputs)(values)

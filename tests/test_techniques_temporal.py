@@ -64,8 +64,9 @@ def run(technique, steps, *, scene=None, options=None, params=None, scenes=None,
     return done
 
 
-def traced(frame) -> tuple:
-    _, reflection, _ = raytrace.step(raytrace.State(), frame, raytrace.Params(), options=raytrace.Options(block=4096))
+def traced(frame, bounces: int = 0):
+    options = raytrace.Options(block=4096, bounces=bounces)
+    _, reflection, _ = raytrace.step(raytrace.State(), frame, raytrace.Params(), options=options)
     return reflection
 
 
@@ -262,13 +263,20 @@ def test_warping_sticks_to_surfaces():
     np.testing.assert_allclose(same[1][1].radiance, same[0][1].radiance, atol=1e-5)
 
 
-def test_a_mirror_seen_in_a_mirror_is_traced_when_it_is_followed():
+@pytest.mark.slow
+def test_mirrors_seen_in_a_mirror_are_traced_or_reused_until_they_have_turned():
     """What is reflected may be a mirror itself; followed further it looks different from everywhere."""
     wall = box((-4, 0, -4.2), (4, 4, -4)).part(
         "wall", Material("shiny", metallic=1.0, alpha=0.0, base_colour=(1, 1, 1))
     )
     parts = [floor("ground", mirror("polished")), wall, pillar("front", (0.9, 0.1, 0.1), FRONT)]
     scene = assemble(Description("mirrors", parts, ambient=(1.0, 1.0, 1.0)))
-    options = dataclasses.replace(KEEP, bounces=1, inner_mirrors="trace")
-    info = run(temporal, [0.0, 1.0], scene=scene, options=options)[1][2]
-    assert (np.asarray(info.reason) == Reason.CHANGING).any()
+    steps, changing, error = [0.0, 0.05, 3.0], {}, {}
+    for inner in ("trace", "turn", "reuse"):
+        done = run(temporal, steps, scene=scene, options=dataclasses.replace(KEEP, bounces=1, inner_mirrors=inner))
+        changing[inner] = [int((np.asarray(info.reason) == Reason.CHANGING).sum()) for _, _, info in done[1:]]
+        frame, reflection, _ = done[-1]
+        error[inner] = float(np.abs(np.asarray(reflection.radiance - traced(frame, bounces=1).radiance)).mean())
+    assert min(changing["trace"]) > 0 and max(changing["reuse"]) == 0
+    assert changing["turn"][0] < changing["trace"][0] and changing["turn"][-1] > 0
+    assert error["trace"] <= error["turn"] < error["reuse"]
