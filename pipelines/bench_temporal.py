@@ -34,6 +34,7 @@ SAMPLES = 16
 BAKED = {"light": "baked"}
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "temporal": ("temporal", {}),
+    "temporal, key every 40": ("temporal", {"policy": "interval", "interval": 40}),
     "temporal, as published": ("temporal", {"method": "as_published"}),
     "warp": ("warp", {}),
     "envmap": ("envmap", {}),

@@ -100,7 +100,7 @@ def places(name: str, step: float):
     _, buffer = view(MIRRORS[name], camera_at(0))
     gbuffer, exact = view(MIRRORS[name], camera_at(step))
     frame = frame_of(gbuffer, camera_at(step))
-    mirrors, smooth = mirrors_of(gbuffer), gbuffer.alpha == 0
+    mirrors, smooth = mirrors_of(gbuffer, Params().sharp), gbuffer.alpha == 0
     found = search(buffer, None, mirrors, frame.camera, options=OPTIONS)
     uv, covered, _ = starts(buffer, found, frame, smooth & gbuffer.valid, options=OPTIONS)
     return buffer, exact, found, refine(flatten(buffer), mirrors.rays, smooth, uv, covered, options=OPTIONS)

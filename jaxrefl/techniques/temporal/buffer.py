@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl._types import Camera, Frame, GBuffer, Mesh, Scene
+from jaxrefl._types import Camera, Frame, GBuffer, Hits, Mesh, Rays, Scene
+from jaxrefl.rays import offset_origin
 from jaxrefl.surface import mirror_direction
 from jaxrefl.techniques._tracing import Traced
 from jaxrefl.techniques.temporal.cells import bends, connections, steepness
-from jaxrefl.techniques.temporal.types import Options, ReflectionBuffer
+from jaxrefl.techniques.temporal.types import Options, Params, ReflectionBuffer
 
 
 def is_noisy(scene: Scene, options: Options) -> bool:
@@ -36,7 +37,9 @@ def is_noisy(scene: Scene, options: Options) -> bool:
     return options.light == "path" or lights.area is not None or lights.environment is not None
 
 
-def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Options) -> ReflectionBuffer:
+def keep(
+    frame: Frame, image: Traced, error: Float[Array, "h w"], params: Params, *, options: Options
+) -> ReflectionBuffer:
     r"""The reflection buffer of a traced frame.
 
     $$ R = W + r\, \omega_i $$
@@ -45,6 +48,8 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Op
         frame: The frame.
         image: Its reflections.
         error: Expected relative error of each; 0 where it was traced.
+        params: `sharp`: lobes up to this alpha are kept with the point that their mirror ray hits, a mean over samples
+            would say little about its place.
         options: `noise`, `light`: what contrast is judged by; `inner_mirrors`: whether they count.
     Returns:
         The buffer.
@@ -54,25 +59,56 @@ def keep(frame: Frame, image: Traced, error: Float[Array, "h w"], *, options: Op
         those of the G-buffer, which are more exact than back-projection, and of mirrors the points that were hit.
     """
     noisy, inner = is_noisy(frame.scene, options), options.inner_mirrors == "reuse"
-    buffer = _keep(frame.camera, frame.scene.mesh, frame.gbuffer, image, error, (noisy, inner))
+    image = _centred(frame, image, params) if frame.scene.features.glossy else image
+    smooth = frame.gbuffer.alpha <= params.sharp
+    buffer = _keep(frame.camera, frame.scene.mesh, frame.gbuffer, smooth, image, error, (noisy, inner))
     # The very array of the scene: that nothing has moved is then seen without looking at the vertices.
     return dataclasses.replace(buffer, vertices=frame.scene.mesh.vertices)
 
 
-@functools.partial(jax.jit, static_argnums=5)
+def _centred(frame: Frame, image: Traced, params: Params) -> Traced:
+    """The image with what the mirror rays of narrow lobes hit in place of the mean over their samples."""
+    narrow, rays = _narrow_lobes(frame.gbuffer, image, params.sharp)
+    return _with_hits(image, narrow, rays, frame.tracer.closest(rays, active=narrow))
+
+
+@jax.jit
+def _narrow_lobes(gbuffer: GBuffer, image: Traced, sharp: Float[Array, ""]) -> tuple[Bool[Array, "h w"], Rays]:
+    wi = mirror_direction(gbuffer)
+    narrow = image.reflection.valid & (gbuffer.alpha > 0) & (gbuffer.alpha <= sharp)
+    return narrow, Rays(offset_origin(gbuffer.p, gbuffer.n, gbuffer.p_error, wi), wi)
+
+
+@jax.jit
+def _with_hits(image: Traced, narrow: Bool[Array, "h w"], rays: Rays, hits: Hits) -> Traced:
+    t = jnp.where(narrow, jnp.where(hits.valid, hits.t, 0), image.reflection.t)
+    p = jnp.where(narrow[..., None], rays.origin + hits.t[..., None] * rays.direction, image.reflection.p)
+    triangle = jnp.where(narrow, jnp.where(hits.valid, hits.triangle, -1), image.reached.triangle)
+    return Traced(
+        dataclasses.replace(image.reflection, p=p, t=t), dataclasses.replace(image.reached, triangle=triangle)
+    )
+
+
+@functools.partial(jax.jit, static_argnums=6)
 def _keep(
-    camera: Camera, mesh: Mesh, gbuffer: GBuffer, image: Traced, error: Float[Array, "h w"], flags: tuple[bool, bool]
+    camera: Camera,
+    mesh: Mesh,
+    gbuffer: GBuffer,
+    smooth: Bool[Array, "h w"],
+    image: Traced,
+    error: Float[Array, "h w"],
+    flags: tuple[bool, bool],
 ) -> ReflectionBuffer:
     noisy, inner = flags
     reflection, reached = image.reflection, image.reached
-    wi, smooth = mirror_direction(gbuffer), gbuffer.alpha == 0
+    wi, exact = mirror_direction(gbuffer), gbuffer.alpha == 0
     hit = reflection.valid & (reflection.t > 0)
     point = jnp.where(smooth[..., None], reflection.p, gbuffer.p + wi * reflection.t[..., None])
     w = jnp.where(hit, 1.0, 0.0)
     reflected = jnp.concatenate([jnp.where(hit[..., None], point, wi), w[..., None]], -1)
     right, down, connected = connections(mesh, reflected, reached.triangle, reflection.valid)
     seen = reached.colour if noisy else reflection.radiance
-    bend_x, bend_y = bends(jnp.where(smooth[..., None], seen, 0), right, down, reflection.valid)
+    bend_x, bend_y = bends(jnp.where(exact[..., None], seen, 0), right, down, reflection.valid)
     steep = steepness(seen, reflected, right, down, reflection.valid)
     return ReflectionBuffer(
         camera=camera,

@@ -19,7 +19,7 @@ from jaxrefl.core.safe import norm
 from jaxrefl.rays import block_size, blocks_of, offset_origin, put_block, take_block
 from jaxrefl.surface import reflective
 from jaxrefl.techniques._reproject import SNAP, Footprint, footprint, read
-from jaxrefl.techniques.temporal.flat import Triple, along, cross3, dot3, split
+from jaxrefl.techniques.temporal.flat import Mirrors, Triple, along, cross3, dot3, split
 from jaxrefl.techniques.temporal.kept import CONNECTED, KNOWN, SMOOTH, STEADY, Kept, flags_at, has
 from jaxrefl.techniques.temporal.refine import Refined
 from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason
@@ -30,6 +30,7 @@ _SHORT = 1e-3
 
 def judge(
     kept: Kept,
+    mirrors: Mirrors,
     gbuffer: GBuffer,
     refined: Refined,
     covered: Bool[Array, "h w"],
@@ -46,6 +47,7 @@ def judge(
 
     Args:
         kept: The key frame.
+        mirrors: The pixels of the frame.
         gbuffer: What is seen now.
         refined: Place and residual per pixel.
         covered: Where there was a start.
@@ -57,7 +59,7 @@ def judge(
     """
     proposal, tested = _untested(gbuffer, covered, moved)
     for index in blocks_of(tested, size=block_size(tested.size, options.block)):
-        pixels = (refined, gbuffer.alpha, gbuffer.p)
+        pixels = (refined, mirrors.smooth, gbuffer.alpha, gbuffer.p)
         block = _judge_block(kept, pixels, index, params, options.inner_mirrors == "turn")
         proposal = put_block(index, proposal, block)
     return proposal
@@ -90,15 +92,15 @@ def no_proposal(reason: Int[Array, "*b"]) -> Proposal:
 @functools.partial(jax.jit, static_argnums=4)
 def _judge_block(
     kept: Kept,
-    pixels: tuple[Refined, Float[Array, "h w"], Float[Array, "h w 3"]],
+    pixels: tuple[Refined, Bool[Array, "h w"], Float[Array, "h w"], Float[Array, "h w 3"]],
     index: Int[Array, "n"],
     params: Params,
     turns: bool,
 ) -> Proposal:
-    refined, alpha, p = take_block(pixels, index)
+    refined, smooth, alpha, p = take_block(pixels, index)
     at = footprint(refined.uv, shape=kept.shape, snap=SNAP)
     turned = apart(~has(kept.flags, STEADY), _turn, kept, at, split(p)) if turns else None
-    tested = apart(index >= 0, _tests, kept, at, refined, alpha, turned, params)
+    tested = apart(index >= 0, _tests, kept, at, refined, (smooth, alpha, turned), params)
     nearest = at.cell + jnp.where(at.fx >= 0.5, 1, 0) + jnp.where(at.fy >= 0.5, at.width, 0)
 
     def stacked(image: tuple[Array, ...]) -> Array:
@@ -119,12 +121,11 @@ def _tests(
     kept: Kept,
     at: Footprint,
     refined: Refined,
-    alpha: Float[Array, "n"],
-    turned: Float[Array, "n"] | None,
+    mirrors: tuple[Bool[Array, "n"], Float[Array, "n"], Float[Array, "n"] | None],
     params: Params,
 ) -> Complex[Array, "n"]:
     """Reason codes as numbers, small enough to be exact, and expected errors."""
-    flags, smooth = flags_at(kept, at), alpha == 0
+    flags, (smooth, alpha, turned) = flags_at(kept, at), mirrors
     single = ((at.fx == 0) | (at.fx == 1)) & ((at.fy == 0) | (at.fy == 1))
     whole = has(flags, KNOWN, SMOOTH) & (has(flags, CONNECTED) | single)
     turn = refined.tangent / jnp.maximum(alpha, 1e-6)
@@ -160,12 +161,12 @@ def _expected_error(kept: Kept, at: Footprint) -> Float[Array, "n"]:
     return 2 * (at.fx * (1 - at.fx) * kept.bend_x[at.cell] + at.fy * (1 - at.fy) * kept.bend_y[at.cell])
 
 
-def unhidden(proposal: Proposal, mirrors: Rays, frame: Frame, *, options: Options) -> Proposal:
+def unhidden(proposal: Proposal, mirrors: Mirrors, frame: Frame, *, options: Options) -> Proposal:
     """Take out what cannot be seen: a shadow ray from each mirror to the point that it would show.
 
     Args:
         proposal: From `judge`.
-        mirrors: Surface points and mirror directions.
+        mirrors: The pixels of the frame.
         frame: Its G-buffer, scene and tracer; the scene as it is now, so things that have moved hide too.
         options: `occlusion`: `depths` trusts the depth test of the drawing.
     Returns:
@@ -175,19 +176,19 @@ def unhidden(proposal: Proposal, mirrors: Rays, frame: Frame, *, options: Option
     if options.occlusion == "depths":
         return proposal
     size = norm(frame.scene.upper - frame.scene.lower)
-    rays, t_max = _shadow_rays(proposal, mirrors.direction, frame.gbuffer, size)
+    rays, t_max = _shadow_rays(proposal, mirrors, frame.gbuffer, size)
     return _without(proposal, frame.tracer.occluded(rays, t_max))
 
 
 @jax.jit
 def _shadow_rays(
-    proposal: Proposal, wi: Float[Array, "h w 3"], gbuffer: GBuffer, size: Float[Array, ""]
+    proposal: Proposal, mirrors: Mirrors, gbuffer: GBuffer, size: Float[Array, ""]
 ) -> tuple[Rays, Float[Array, "h w"]]:
-    finite = proposal.reflected[..., 3] > 0.5
+    wi, finite = mirrors.rays.direction, proposal.reflected[..., 3] > 0.5
     t = norm(proposal.reflected[..., :3] - gbuffer.p)
     reach = jnp.where(finite, (1 - _SHORT) * t, 4 * size)
     usable = (proposal.reason == int(Reason.REUSED)) | (proposal.reason == int(Reason.CONTRAST))
-    asked = usable & (gbuffer.alpha == 0)
+    asked = usable & mirrors.smooth
     rays = Rays(offset_origin(gbuffer.p, gbuffer.n, gbuffer.p_error, wi), wi)
     return rays, jnp.where(asked, reach, 0)
 

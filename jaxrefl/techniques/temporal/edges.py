@@ -18,6 +18,7 @@ from jaxrefl._types import Frame, GBuffer, Hits, Mesh, Rays
 from jaxrefl.core import apart, dot, together
 from jaxrefl.rays import block_size, blocks_of, offset_origin, put_block, take_block
 from jaxrefl.techniques.temporal.cells import STEEPEST, normals_of
+from jaxrefl.techniques.temporal.flat import Mirrors
 from jaxrefl.techniques.temporal.kept import KNOWN, SMOOTH, STEADY, Kept, has
 from jaxrefl.techniques.temporal.types import Options, Params, Proposal, Reason
 
@@ -34,7 +35,7 @@ def seek_edges(
     proposal: Proposal,
     uv: Float[Array, "h w 2"],
     kept: Kept,
-    mirrors: Rays,
+    mirrors: Mirrors,
     frame: Frame,
     params: Params,
     *,
@@ -46,7 +47,7 @@ def seek_edges(
         proposal: After all tests.
         uv: Places found in the key frame, also of pixels that failed.
         kept: The key frame.
-        mirrors: Surface points and mirror directions.
+        mirrors: The pixels of the frame.
         frame: The frame to render.
         params: `contrast`.
         options: `edges`, `block`.
@@ -57,9 +58,9 @@ def seek_edges(
     """
     if options.edges == "trace":
         return proposal
-    asked, mesh = _asked(proposal, frame.gbuffer), frame.scene.mesh
+    asked, mesh = _asked(proposal, mirrors.smooth), frame.scene.mesh
     for index in blocks_of(asked, size=block_size(asked.size, options.block)):
-        rays = _rays(frame.gbuffer, mirrors, index)
+        rays = _rays(frame.gbuffer, mirrors.rays, index)
         hits = frame.tracer.closest(rays, active=index >= 0)
         block = _read_block(kept, mesh, rays, hits, take_block((proposal, uv), index), params.contrast)
         proposal = put_block(index, proposal, block)
@@ -67,10 +68,10 @@ def seek_edges(
 
 
 @jax.jit
-def _asked(proposal: Proposal, gbuffer: GBuffer) -> Bool[Array, "h w"]:
+def _asked(proposal: Proposal, smooth: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     codes = (Reason.EDGE, Reason.HIDDEN, Reason.RESIDUAL)
     found = functools.reduce(jnp.logical_or, [proposal.reason == int(code) for code in codes])
-    return found & (gbuffer.alpha == 0)
+    return found & smooth
 
 
 @jax.jit

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl._types import Camera, GBuffer, Rays
 from jaxrefl.surface import mirror_direction
@@ -43,21 +43,24 @@ class Mirrors(eqx.Module):
 
     rays: Rays
     """Surface points and mirror directions [h w]."""
+    smooth: Bool[Array, "h w"]
+    """Where the lobe is narrow enough to be followed as one direction."""
     flat: Surfaces
     """The surfaces as flat arrays."""
 
 
 @jax.jit
-def mirrors_of(gbuffer: GBuffer) -> Mirrors:
+def mirrors_of(gbuffer: GBuffer, sharp: Float[Array, ""]) -> Mirrors:
     """The small mirrors of a G-buffer.
 
     Args:
         gbuffer: Any G-buffer.
+        sharp: Largest alpha of a lobe that is followed as one direction.
     Returns:
         Its pixels as mirrors, whatever they are made of.
     """
     flat = surfaces(gbuffer.p, gbuffer.ns, gbuffer.object)
-    return Mirrors(Rays(gbuffer.p, mirror_direction(gbuffer)), flat)
+    return Mirrors(Rays(gbuffer.p, mirror_direction(gbuffer)), gbuffer.alpha <= sharp, flat)
 
 
 def surfaces(p: Float[Array, "h w 3"], n: Float[Array, "h w 3"], object: Int[Array, "h w"]) -> Surfaces:

@@ -14,28 +14,30 @@ from jaxrefl.surface import look
 from jaxrefl.techniques._reproject import same_camera
 from jaxrefl.techniques._tracing import Traced, nothing_traced, trace_reflected
 from jaxrefl.techniques.temporal.buffer import keep
-from jaxrefl.techniques.temporal.types import REACH, Options, ReflectionBuffer, State
+from jaxrefl.techniques.temporal.types import REACH, Options, Params, ReflectionBuffer, State
 
 
-def key_frame_of(frame: Frame, image: Traced, *, options: Options) -> ReflectionBuffer:
+def key_frame_of(frame: Frame, image: Traced, params: Params, *, options: Options) -> ReflectionBuffer:
     """A key frame from a frame all of whose pixels were traced.
 
     Args:
         frame: The frame.
         image: Its reflections.
+        params: `sharp`.
         options: What a key frame keeps.
     Returns:
         The key frame.
     """
-    return keep(frame, image, jnp.zeros_like(frame.gbuffer.t), options=options)
+    return keep(frame, image, jnp.zeros_like(frame.gbuffer.t), params, options=options)
 
 
-def advance(state: State, frame: Frame, *, options: Options) -> State:
+def advance(state: State, frame: Frame, params: Params, *, options: Options) -> State:
     """The key frames for a frame.
 
     Args:
         state: From the frame before.
         frame: The frame to render.
+        params: `sharp`.
         options: `keys`.
     Returns:
         The state; where the run has arrived at the next key frame, that has become the last one. With two keys the next
@@ -53,7 +55,7 @@ def advance(state: State, frame: Frame, *, options: Options) -> State:
     gbuffer = look(frame.scene, frame.tracer, camera)
     there = Frame(frame.scene, camera, gbuffer, jax.random.fold_in(frame.key, 1), frame.tracer)
     image = trace_reflected(there, nothing_traced(gbuffer), gbuffer.valid, options=options)
-    return dataclasses.replace(state, ahead=key_frame_of(there, image, options=options), search_ahead=None)
+    return dataclasses.replace(state, ahead=key_frame_of(there, image, params, options=options), search_ahead=None)
 
 
 def renewed(state: State, key: ReflectionBuffer) -> State:
@@ -74,6 +76,7 @@ def followed(
     image: Traced,
     error: Float[Array, "h w"],
     from_key: Bool[Array, "h w"],
+    params: Params,
     *,
     options: Options,
 ) -> State:
@@ -85,6 +88,7 @@ def followed(
         image: Its reflections, reused and traced.
         error: Expected relative errors; 0 where it was traced.
         from_key: Pixels that were taken from a key frame.
+        params: `sharp`.
         options: `recent`.
     Returns:
         With `recent` a state that keeps the frame: what it traced, the next one need not trace again. What it reused
@@ -93,7 +97,7 @@ def followed(
     if not options.recent or options.method == "as_published":
         return state
     lacking = _around(image.reflection.valid & ~from_key)
-    return dataclasses.replace(state, recent=keep(frame, image, error, options=options), lacking=lacking)
+    return dataclasses.replace(state, recent=keep(frame, image, error, params, options=options), lacking=lacking)
 
 
 @jax.jit

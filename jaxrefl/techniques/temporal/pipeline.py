@@ -76,7 +76,7 @@ def step(
         drawn), `expected_error`. What shows through glass is traced in every frame.
     """
     cast_before, began = frame.tracer.rays, time.perf_counter()
-    state = advance(state, frame, options=options)
+    state = advance(state, frame, params, options=options)
     looked_ahead = time.perf_counter()
     found, state, seconds = offer(state, frame, params, options=options)
     is_key = state.key is None or (
@@ -91,10 +91,10 @@ def step(
     traced_at = time.perf_counter()
     share = int(wanted.sum()) / max(found.pixels, 1)
     if is_key:
-        state = renewed(state, key_frame_of(frame, image, options=options))
+        state = renewed(state, key_frame_of(frame, image, params, options=options))
     elif not found.exact:
         from_key = taken & (found.taken_from != int(Taken.RECENT))
-        state = followed(state, frame, image, jnp.where(taken, proposal.error, 0), from_key, options=options)
+        state = followed(state, frame, image, jnp.where(taken, proposal.error, 0), from_key, params, options=options)
     state = jax.block_until_ready(state)
     state = dataclasses.replace(state, age=state.age + 1, spent=state.spent + share)
     counts = {

@@ -67,7 +67,7 @@ def offer(state: State, frame: Frame, params: Params, *, options: Options) -> tu
     elif same_camera(state.key.camera, frame.camera) and is_still(state.key, frame):
         proposal, exact = as_kept(state.key), True
     else:
-        mirrors = mirrors_of(frame.gbuffer)
+        mirrors = mirrors_of(frame.gbuffer, params.sharp)
         proposal, search, seconds, too_wide = propose(
             state.key, state.search, mirrors, frame, wanted, params, options=options
         )
@@ -117,7 +117,7 @@ def propose(
     buffer, moved = as_of(buffer, frame, options=options)
     if options.method == "as_published":
         return (*propose_as_published(buffer, before, frame, moved, params, options=options), 0)
-    times, smooth = [time.perf_counter()], frame.gbuffer.alpha == 0
+    times, smooth = [time.perf_counter()], mirrors.smooth
     search = jax.block_until_ready(search_forward(buffer, before, mirrors, frame.camera, within, options=options))
     times.append(time.perf_counter())
     uv, covered, too_wide = jax.block_until_ready(starts(buffer, search, frame, asked & smooth, options=options))
@@ -129,11 +129,9 @@ def propose(
     kept = flatten(buffer)
     refined = jax.block_until_ready(refine(kept, mirrors.rays, smooth, uv, covered, options=options))
     times.append(time.perf_counter())
-    proposal = judge(kept, frame.gbuffer, refined, covered, moved, params, options=options)
-    proposal = unhidden(proposal, mirrors.rays, frame, options=options)
-    proposal = jax.block_until_ready(
-        seek_edges(proposal, refined.uv, kept, mirrors.rays, frame, params, options=options)
-    )
+    proposal = judge(kept, mirrors, frame.gbuffer, refined, covered, moved, params, options=options)
+    proposal = unhidden(proposal, mirrors, frame, options=options)
+    proposal = jax.block_until_ready(seek_edges(proposal, refined.uv, kept, mirrors, frame, params, options=options))
     times.append(time.perf_counter())
     names = ("search", "shift", "refine", "check")
     seconds = {name: b - a for name, a, b in zip(names, times, times[1:], strict=False)}

@@ -80,6 +80,9 @@ class Params(eqx.Module):
     inner: Float[Array, ""] = tunable(
         0.015, 1e-6, 1.0, "Turn of a mirror or glass seen in a mirror up to which it is reused (radians)."
     )
+    sharp: Float[Array, ""] = tunable(
+        0.02, 0.0, 1.0, "Largest alpha of a rough reflection that is found again like a mirror's (alpha)."
+    )
     surface: Float[Array, ""] = tunable(
         0.004, 0.0, 0.1, "Distance to the surface seen before, as a share of the distance to the viewer."
     )
@@ -155,7 +158,7 @@ class ReflectionBuffer(eqx.Module):
     object: Int[Array, "h w"]
     """Object of the reflector; -1 for none."""
     smooth: Bool[Array, "h w"]
-    """True where the reflector is a mirror, False where it is rough."""
+    """True where the reflector is a mirror, or nearly one; False where it is rough."""
     reflected: Float[Array, "h w 4"]
     """Reflected point (x, y, z, 1), world space, or the direction (x, y, z, 0) of the environment."""
     t_reflected: Float[Array, "h w"]
