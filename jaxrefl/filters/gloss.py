@@ -86,18 +86,19 @@ class GlossOptions:
                 raise ValueError(f"{name}: expected at least 1, got {value}")
 
 
-def guides_of(camera: Camera, gbuffer: GBuffer) -> Guides:
+def guides_of(camera: Camera, gbuffer: GBuffer, *, ids: Int[Array, "h w"] | None = None) -> Guides:
     """Guides of a G-buffer.
 
     Args:
         camera: Its camera.
         gbuffer: What it sees.
+        ids: What must be equal, -1 for none; None: the material.
     Returns:
-        Material, shading normal, depth and the planes of the triangles.
+        Ids, shading normal, depth and the planes of the triangles.
     """
     slope = plane_slope(camera, gbuffer)
     depth = gbuffer.t if gbuffer.z_camera is None else gbuffer.z_camera
-    return Guides(jnp.where(gbuffer.valid, gbuffer.material, -1), gbuffer.ns, depth, slope)
+    return Guides(jnp.where(gbuffer.valid, gbuffer.material, -1) if ids is None else ids, gbuffer.ns, depth, slope)
 
 
 @functools.partial(jax.jit, static_argnames="options")
@@ -124,8 +125,8 @@ def gloss(
     Returns:
         Radiance within the range of its input (fill 0), and where it is known: on surfaces, with something known within
         the footprint or at the pixel itself.
-    Edge cases: a footprint of 0 leaves the pixel as it is, also if it is unknown. Unknown pixels are filled from what is
-    known around them and never spread.
+    Edge cases: a footprint of 0 leaves the pixel as it is, also if it is unknown. Unknown pixels are filled from what
+    is known around them and never spread.
     Source: [RLPWSD20] Eq. 4. Differs from the source: the depth is compared with the pixel's plane; a pyramid; two
     Gaussians; `spread`.
     """

@@ -30,7 +30,7 @@ def precision(
     Edge cases: singular ones count as `SHARP` wide in the direction that is missing; finite at any condition number.
     """
     xx, xy, yy = covariance[0] + SHARP, covariance[1], covariance[2] + SHARP
-    # The determinant of c + SHARP is at least SHARP (trace + SHARP) if c is positive semidefinite; rounding may say less.
+    # The determinant of c + SHARP is at least SHARP (trace + SHARP), c being positive semidefinite; rounding aside.
     determinant = jnp.maximum(xx * yy - xy * xy, SHARP * (xx + yy - SHARP))
     half = 0.5 / determinant
     return yy * half, -xy * half, xx * half

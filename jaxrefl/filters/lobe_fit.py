@@ -2,8 +2,8 @@ r"""Gaussians for a GGX lobe: the profiles of an edge along and across -> weight
 
 The published fit is one Gaussian. A GGX lobe is no Gaussian, though: for a narrow lobe the profile of an edge is
 exactly $\frac12 (1 + u / \sqrt{u^2 + w^2})$ with $w = 2 \alpha \tau$, a Student distribution with two degrees of
-freedom whose variance is infinite. So variances depend on where they are cut off, and the best Gaussian profile is wrong
-by 0.02 root mean square and its width by 12 %. Two Gaussians leave 0.003.
+freedom whose variance is infinite. So variances depend on where they are cut off, and the best Gaussian profile is
+wrong by 0.02 root mean square and its width by 12 %. Two Gaussians leave 0.003.
 
 Source: [RLPWSD20] §6.1. Differs from the source: what is fitted is the profile of an edge, by least squares; the
 paper's second moments are there to compare; two Gaussians.

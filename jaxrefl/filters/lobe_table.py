@@ -1,8 +1,8 @@
 r"""Table of the Gaussians that stand for a GGX lobe, and its differentiable look-up.
 
 A lobe's image depends on alpha, on the cosine of the viewing angle and on tau (see `filters.lobe`), so one table serves
-every camera and every scale. What is stored is divided by $2 \alpha \tau$, and across the plane of incidence by a factor
-of foreshortening too, so that it is smooth down to alpha = 0, where the footprint vanishes linearly. Near grazing a
+every camera and every scale. What is stored is divided by $2 \alpha \tau$, and across the plane of incidence by a
+factor of foreshortening too, so that it is smooth down to alpha = 0, where the footprint vanishes linearly. Near grazing a
 lobe's shape depends on cos / alpha; one axis therefore is $s = \cos (1 + \alpha) / (\cos + \alpha)$.
 
 Source: [RLPWSD20] §6.1. Differs from the source: relative distances and any viewing angle instead of metres and frontal
@@ -131,8 +131,8 @@ def lobe_gaussians(
         tau: $d_r / (d_c + d_r)$, in [0, 1].
     Returns:
         Their weights, means and deviations in tangents; times the focal length they are pixels.
-    Edge cases: alpha = 0 and tau = 0 give deviations and means of 0, with finite gradients. Arguments out of range count
-    as the nearest in it.
+    Edge cases: alpha = 0 and tau = 0 give deviations and means of 0, with finite gradients. Arguments out of range
+    count as the nearest in it.
     """
     cosine, alpha, tau = (jnp.clip(x, 0, 1) for x in (cosine, alpha, tau))
     stored = table.gaussians.weight.shape

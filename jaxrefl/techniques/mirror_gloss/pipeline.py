@@ -4,19 +4,20 @@ Source: [RLPWSD20] §6, with a mirror image in place of reprojected probes.
 """
 
 import dataclasses
+import functools
 import time
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrefl._types import Camera, Frame, GBuffer, Reflection, Scene, Tracer
-from jaxrefl.filters import footprint, gloss, guides_of, load_table
+from jaxrefl.filters import Guides, footprint, gloss, guides_of, load_table
 from jaxrefl.surface import reflective
 from jaxrefl.techniques._tracing import distance_of, trace_mirrors, trace_refracted
 from jaxrefl.techniques.mirror_gloss.types import Info, Options, Params, State
 
 _footprint = jax.jit(footprint, static_argnames="options")
-_guides = jax.jit(guides_of)
 
 
 def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State:  # noqa: B008  frozen
@@ -87,14 +88,20 @@ def blur(
         raise ValueError("state: expected one of a scene with glossy surfaces, got one without a table")
     tau: Float[Array, "h w"] = distance_of(gbuffer, sharp)
     size = _footprint(state.table, camera, gbuffer, tau, options=options.footprint)
-    guides = _guides(camera, gbuffer)
+    guides = _guides(camera, gbuffer, within=options.within)
     radiance, known = gloss(
         sharp.radiance, sharp.confidence, tau, guides, size, params.gloss, options=options.filter
     )  # fmt: skip
     return _replaced(sharp, radiance, known)
 
 
+@functools.partial(jax.jit, static_argnames="within")
+def _guides(camera: Camera, gbuffer: GBuffer, *, within: str) -> Guides:
+    ids = 0 if within == "plane" else gbuffer.material
+    return guides_of(camera, gbuffer, ids=jnp.where(reflective(gbuffer), ids, -1))
+
+
 @jax.jit
 def _replaced(sharp: Reflection, radiance: Float[Array, "h w 3"], known: Array) -> Reflection:
     use = (known & sharp.valid)[..., None]
-    return dataclasses.replace(sharp, radiance=jax.numpy.where(use, radiance, sharp.radiance))
+    return dataclasses.replace(sharp, radiance=jnp.where(use, radiance, sharp.radiance))

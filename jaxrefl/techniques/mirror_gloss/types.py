@@ -39,6 +39,11 @@ class Options(TraceOptions):
     taps: str = option("nearest", "Where passes read.", choices=("nearest", "linear"))
     spread: bool = option(True, "Let neighbours count as their own distance says, not as the pixel's does.")
     lobe: str = option("two", "Gaussians that stand for the lobe.", choices=("two", "one", "moments"))
+    within: str = option(
+        "plane",
+        "What is filtered together: all of a smooth surface, or only one material. A mirror image goes on across both.",
+        choices=("plane", "material"),
+    )
     surface: str = option("plane", "What is taken to be reflected.", choices=("plane", "sphere"))
     foreshortening: str = option(
         "derived", "How slanted reflectors narrow the footprint.", choices=("derived", "published")
