@@ -23,6 +23,7 @@ from jaxrefl.filters.gloss_layers import (
     TILE,
     Layer,
     Limits,
+    Others,
     Values,
     cut,
     enlarge,
@@ -150,7 +151,7 @@ def gloss(
     total, share, known = (weights[:, None] * values[:, :3]).sum(0), weights.sum(0), (values[:, 3] > 0).any(0)
     scale = jnp.where(share > 0, 1 / jnp.where(share > 0, share, 1), 0)
     own = surface & (confidence > 0)
-    result = jnp.where(known[..., None], jnp.moveaxis(total * scale, 0, -1), 0)
+    result = jnp.where(known[..., None], jnp.moveaxis(total * scale[None], 0, -1), 0)
     result = jnp.where((own & ~known)[..., None], radiance, result)
     return jnp.where(surface[..., None], result, 0), surface & (known | own)
 
@@ -186,7 +187,7 @@ def _one_gaussian(image: Layer, count: int, limits: Limits, options: GlossOption
 def _join(
     fine: Layer,
     own: Values,
-    below: tuple[Layer, Values],
+    below: tuple[Layer, Others],
     number: Int[Array, ""],
     count: int,
     limits: Limits,
@@ -198,7 +199,7 @@ def _join(
     above = apart((coarser > 0) & (fine.id >= 0), enlarge, fine, *below, limits)
     has_own, has_above = own[3] > 0, above[3] > 0
     blend = jnp.where(has_above, jnp.where(has_own, coarser, 1), 0)
-    colour = (1 - blend) * own[:3] + blend * above[:3]
+    colour = (1 - blend)[None] * own[:3] + blend[None] * above[:3]
     weight = jnp.where(has_own, own[3] * (1 - blend), 0) + above[3] * blend
     return jnp.concatenate([colour, weight[None]])
 
@@ -233,4 +234,4 @@ def _without_resampling(covariance: Float[Array, "3 *b"], number: Int[Array, "*b
     a, b = (jnp.maximum(sd * sd - done, 0.02) for sd in (axes.major, axes.minor))
     c, s = axes.cos, axes.sin
     narrowed = jnp.stack([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c])
-    return jnp.where(number > 0, narrowed, covariance)
+    return jnp.where((number > 0)[None], narrowed, covariance)

@@ -6,7 +6,7 @@ across edges. All layers lie side by side in one image, so that the filter is co
 that need it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,52 +28,54 @@ class Layer(NamedTuple):
 
     id: Int[Array, "*b"]
     """Surface; -1 for none."""
-    data: Float[Array, "d *b"]
-    """Everything else; the properties say what."""
+    data: Any
+    """Everything else, [16 *b], or in hot loops a tuple of planes [*b]; the properties say what."""
 
     @property
-    def normal(self) -> Float[Array, "3 *b"]:
+    def normal(self) -> Any:
         """Unit normal."""
         return self.data[0:3]
 
     @property
-    def inverse(self) -> Float[Array, "*b"]:
+    def inverse(self) -> Any:
         """Inverse depth."""
         return self.data[3]
 
     @property
-    def slope(self) -> Float[Array, "2 *b"]:
+    def slope(self) -> Any:
         """Its change per pixel of this layer, (x, y)."""
         return self.data[4:6]
 
     @property
-    def colour(self) -> Float[Array, "3 *b"]:
+    def colour(self) -> Any:
         """Radiance."""
         return self.data[_COLOUR]
 
     @property
-    def tau(self) -> Float[Array, "*b"]:
+    def tau(self) -> Any:
         """Relative distance of what is reflected."""
         return self.data[9]
 
     @property
-    def trust(self) -> Float[Array, "*b"]:
+    def trust(self) -> Any:
         """Weight of the radiance, 0 where it is not known."""
         return self.data[10]
 
     @property
-    def mean(self) -> Float[Array, "2 *b"]:
+    def mean(self) -> Any:
         """Centre of the Gaussian, pixels of this layer."""
         return self.data[11:13]
 
     @property
-    def covariance(self) -> Float[Array, "3 *b"]:
+    def covariance(self) -> Any:
         """(xx, xy, yy), pixels of this layer squared."""
         return self.data[13:16]
 
 
 Values = Float[Array, "4 h w"]
 """A filtered layer: colour, and the weight with which it is known (0: it is not)."""
+Others = Float[Array, "4 ch cw"]
+"""The same, of another size."""
 
 
 class Limits(NamedTuple):
@@ -144,7 +146,7 @@ def _merge(fine: Layer, limits: Limits) -> Merge:
         shares.append(jnp.where(member, four[j].trust, 0))
     total = shares[0] + shares[1] + shares[2] + shares[3]
     inverse = jnp.where(total > 0, 1 / jnp.where(total > 0, total, 1), 0)
-    return Merge(corner, jnp.stack(shares) * inverse, total / 4)
+    return Merge(corner, jnp.stack(shares) * inverse[None], total / 4)
 
 
 def _merged(fine: Layer, merge: Merge) -> Layer:
@@ -155,8 +157,8 @@ def _merged(fine: Layer, merge: Merge) -> Layer:
     chosen = Layer(fine.id.reshape(-1)[at], fine.data.reshape(_DATA, -1)[:, at])
     dx, dy = (merge.corner % 2).astype(jnp.float32) - 0.5, (merge.corner // 2).astype(jnp.float32) - 0.5
     known = fine.data[6:10]  # colour and tau
-    average = sum(share * _corner(known, at) for share, at in zip(merge.shares, _CORNERS, strict=True))
-    average = jnp.where(merge.trust > 0, average, chosen.data[6:10])
+    average = sum(share[None] * _corner(known, at) for share, at in zip(merge.shares, _CORNERS, strict=True))
+    average = jnp.where((merge.trust > 0)[None], average, chosen.data[6:10])
     inverse = chosen.inverse - chosen.slope[0] * dx - chosen.slope[1] * dy
     parts = [chosen.normal, inverse[None], 2 * chosen.slope, average, merge.trust[None]]
     return Layer(chosen.id, jnp.concatenate([*parts, chosen.mean / 2, chosen.covariance / 4]))
@@ -261,7 +263,7 @@ def pack(image: Layer, others: Layer, places: list[Place], size: tuple[int, int]
     return Layer(ids, data)
 
 
-def cut(atlas: Values, place: Place, size: tuple[int, int]) -> Values:
+def cut(atlas: Others, place: Place, size: tuple[int, int]) -> Values:
     """One layer of a filtered atlas.
 
     Args:
@@ -275,7 +277,7 @@ def cut(atlas: Values, place: Place, size: tuple[int, int]) -> Values:
     return jnp.pad(part, ((0, 0), (0, size[0] - place.height), (0, size[1] - place.width)))
 
 
-def enlarge(fine: Layer, coarse: Layer, values: Values, limits: Limits) -> Values:
+def enlarge(fine: Layer, coarse: Layer, values: Others, limits: Limits) -> Values:
     """Values of a coarse layer at the pixels of the finer one: bilinear, from the same surface only.
 
     Args:
@@ -300,7 +302,7 @@ def enlarge(fine: Layer, coarse: Layer, values: Values, limits: Limits) -> Value
         at = jnp.clip(cy, 0, rows - 1) * columns + jnp.clip(cx, 0, columns - 1)
         there = tuple(p[at] for p in planes)
         dx, dy = (2 * c.astype(jnp.float32) + 0.5 - f.astype(jnp.float32) for c, f in ((cx, x), (cy, y)))
-        good = inside & agree(fine, Layer(ids[at], there), dx, dy, limits)  # type: ignore[arg-type]
+        good = inside & agree(fine, Layer(ids[at], there), dx, dy, limits)
         share = jnp.where(corner // 2 == 1, 0.25, 0.75) * jnp.where(corner % 2 == 1, 0.25, 0.75)
         weight = jnp.where(good, there[9], 0) * share
         return [s + weight * v for s, v in zip(sums, (*there[6:9], jnp.ones_like(weight)), strict=True)], None

@@ -70,13 +70,13 @@ def _pass(
     height, width = atlas.id.shape
     # One flat array per plane; the values are those of the pass before.
     planes = (*atlas.data[:6], *state[:3], atlas.tau, state[3])
-    flat = Layer(atlas.id.reshape(-1), tuple(p.reshape(-1) for p in planes))  # type: ignore[arg-type]
+    flat = Layer(atlas.id.reshape(-1), tuple(p.reshape(-1) for p in planes))
 
     def tile(top: Array, left: Array) -> Float[Array, "p r c"]:
         def inner(plane: Array) -> Array:
             return jax.lax.dynamic_slice(plane, (top, left), TILE).reshape(-1)
 
-        own = Layer(inner(atlas.id), tuple(inner(p) for p in planes))  # type: ignore[arg-type]
+        own = Layer(inner(atlas.id), tuple(inner(p) for p in planes))
         cos, sin, sigma, shift = (inner(x) for x in line)
         index = jnp.arange(rows * columns, dtype=jnp.int32)
         x, y = left + index % columns, top + index // columns

@@ -71,7 +71,7 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
         def shifted(tap: Array) -> Layer:
             start = (tap // span) * wide + tap % span
             cut = lambda p: jax.lax.dynamic_slice_in_dim(p, start, size)  # noqa: E731
-            return Layer(cut(ids), tuple(cut(p) for p in around))  # type: ignore[arg-type]
+            return Layer(cut(ids), tuple(cut(p) for p in around))
 
         own = shifted(jnp.asarray(radius * span + radius, jnp.int32))
 
