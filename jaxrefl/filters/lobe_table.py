@@ -2,8 +2,8 @@ r"""Table of the Gaussians that stand for a GGX lobe, and its differentiable loo
 
 A lobe's image depends on alpha, on the cosine of the viewing angle and on tau (see `filters.lobe`), so one table serves
 every camera and every scale. What is stored is divided by $2 \alpha \tau$, and across the plane of incidence by a
-factor of foreshortening too, so that it is smooth down to alpha = 0, where the footprint vanishes linearly. Near grazing a
-lobe's shape depends on cos / alpha; one axis therefore is $s = \cos (1 + \alpha) / (\cos + \alpha)$.
+factor of foreshortening too, so that it is smooth down to alpha = 0, where the footprint vanishes linearly. Near
+grazing a lobe's shape depends on cos / alpha; one axis therefore is $s = \cos (1 + \alpha) / (\cos + \alpha)$.
 
 Source: [RLPWSD20] §6.1. Differs from the source: relative distances and any viewing angle instead of metres and frontal
 views; values normalised.

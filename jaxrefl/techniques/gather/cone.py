@@ -2,7 +2,8 @@ r"""The disk that a cone of mirror directions covers in the image: G-buffer + di
 
 $$ r = f\, c\, \alpha\, \min_{\text{disk}} \tau $$
 
-The nearest reflected point within the pixel's own disk decides, so that contacts stay sharp.
+With `search`, the nearest reflected point within the pixel's own disk decides, so that contacts stay sharp; it also
+makes patches whose outlines are those of the disks.
 
 Source: [RS09] §3.
 """
@@ -33,7 +34,7 @@ def cone_footprint(
         gbuffer: What it sees.
         tau: Relative distance of what the mirror ray hit.
         params: `cone`.
-        search: Pixels of the disk that are looked at.
+        search: Pixels of the disk that are looked at; 0: the pixel's own distance decides.
     Returns:
         Footprint whose deviation is the disk's radius; without slant or curvature, as published.
     """
@@ -45,7 +46,7 @@ def cone_footprint(
     own = scale * tau
 
     def look(nearest: Float[Array, "h w"], number: Array) -> tuple[Float[Array, "h w"], None]:
-        part = jnp.sqrt((number + 0.5) / search) * own
+        part = jnp.sqrt((number + 0.5) / max(search, 1)) * own
         angle = _GOLDEN * number
         there_x = jnp.clip(x + jnp.round(part * jnp.cos(angle)).astype(x.dtype), 0, w - 1)
         there_y = jnp.clip(y + jnp.round(part * jnp.sin(angle)).astype(y.dtype), 0, h - 1)
