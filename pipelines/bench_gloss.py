@@ -1,4 +1,4 @@
-"""The gloss filter: edge profiles against the lobe, evaluations against each other and against OpenCV, errors in scenes.
+"""The gloss filter: edge profiles against the lobe, evaluations against each other and OpenCV, errors in scenes.
 
 Times are of steady running (a call in which JAX compiled is run again) and of one run, so ratios hold. Errors in scenes
 are those of the glossy layer before Fresnel, over pixels with alpha > 0, against many GGX rays with the same light.
@@ -180,7 +180,7 @@ def peers(side: int, radii: tuple[int, ...], *, threads: int = 1) -> Rows:
         radii: Radii; the deviation is radius / 2.5.
         threads: Of OpenCV.
     Returns:
-        One row per radius, milliseconds; None for what is not installed. scikit-image runs on a sixteenth of the pixels.
+        One row per radius, milliseconds; None: not installed. scikit-image runs on a sixteenth of the pixels.
     """
     shape, rows = (side, side), []
     image = np.random.default_rng(0).random((*shape, 3)).astype(np.float32)
@@ -326,7 +326,7 @@ def plot_errors(name: str, out: Path, *, size: tuple[int, int], samples: int) ->
     for axis, title in zip(axes[1][1:], ("mirror_gloss", "gather"), strict=True):
         shown = axis.imshow(np.abs(images[title] - images["GGX rays"]).mean(-1), vmax=0.2, cmap="magma")
         axis.set_title(f"{title}: mean absolute difference")
-    figure.colorbar(shown, ax=axes[1])
+        figure.colorbar(shown, ax=axis)
     for axis in axes.ravel():
         axis.axis("off")
     figure.savefig(out, dpi=80)

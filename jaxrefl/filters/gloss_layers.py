@@ -203,7 +203,7 @@ def pyramid(image: Layer, count: int, limits: Limits) -> Layer:
     second = halve(image, limits)
 
     def step(fine: Layer, _: None) -> tuple[Layer, Layer]:
-        return grown(halve(fine, limits), fine.id.shape), fine
+        return grown(halve(fine, limits), (fine.id.shape[0], fine.id.shape[1])), fine
 
     _, layers = jax.lax.scan(step, second, None, length=count - 1)
     return layers

@@ -65,7 +65,9 @@ def save_table(table: LobeTable, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
-            np.savez(stream, **{name: np.asarray(getattr(table.gaussians, name)) for name in _FIELDS})
+            g = table.gaussians
+            weight, mean, along, across = (np.asarray(x) for x in (g.weight, g.mean, g.along, g.across))
+            np.savez(stream, weight=weight, mean=mean, along=along, across=across)
         os.chmod(stream.name, 0o644)
         os.replace(stream.name, path)
     except OSError:
