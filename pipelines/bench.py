@@ -336,7 +336,7 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
 
 
 def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
-    size, samples, side = ((48, 27), 8, 64) if arguments.quick else ((320, 180), 128, 512)
+    size, samples, side = ((48, 27), 8, 64) if arguments.quick else ((320, 180), 64, 512)
     alphas = (0.1,) if arguments.quick else (0.02, 0.05, 0.1, 0.25, 0.5)
     command, radii = "jaxrefl bench --gloss SCENE ...", (8,) if arguments.quick else (4, 8, 16, 32)
     titles = [
@@ -347,19 +347,17 @@ def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
     ]
     argv = [Path(word).name for word in argv]  # scenes by name: where they lie is of no interest
     sections: dict[str, list[dict]] = {}
-    for title, make in zip(
-        titles,
-        (
-            lambda: edge_profiles(alphas, (0.2, 0.5, 0.9), side=side),
-            lambda: evaluations(side // 2, 8 if arguments.quick else 32),
-            lambda: peers(side, radii),
-            lambda: in_scenes(arguments.gloss, (None,) if arguments.quick else (None, *alphas[::2]), size=size,
-                              samples=samples),
-        ),
-        strict=True,
-    ):  # fmt: skip
-        sections[title] = make()
-        _write(arguments.out, "gloss", argv, sections, [command])  # kept as it grows: it takes long
+
+    def add(title: str, rows: list[dict]) -> None:  # kept as it grows: it takes long
+        sections[title] = sections.get(title, []) + rows
+        _write(arguments.out, "gloss", argv, sections, [command])
+
+    add(titles[0], edge_profiles(alphas, (0.2, 0.5, 0.9), side=side))
+    add(titles[1], evaluations(side // 2, 8 if arguments.quick else 32))
+    add(titles[2], peers(side, radii))
+    replaced = (None,) if arguments.quick else (None, *alphas[::2])
+    for rows in in_scenes(arguments.gloss, replaced, size=size, samples=samples):
+        add(titles[3], rows)
     plot_scenes(sections[titles[-1]], arguments.out / "gloss.png")
     plot_errors(arguments.gloss[0], arguments.out / "gloss_errors.png", size=size, samples=samples)
 

@@ -71,7 +71,7 @@ class GlossOptions:
     the covariance each, as published."""
     radius: int = 4
     """Pixels (window) or taps (passes) to either side; wider footprints are filtered on coarser layers."""
-    layers: int = 6
+    layers: int = 10
     """Most layers of the pyramid, the image included; 1: none, and what `radius` cuts off is lost."""
     taps: str = "nearest"
     """Where passes read: the "nearest" pixel of the line, or "linear" between the two beside it."""

@@ -28,7 +28,7 @@ class Options(TraceOptions):
 
     search: int = option(0, "Pixels of the disk searched for the nearest reflected point; 0: its own.", low=0, high=256)
     radius: int = option(4, "Pixels to either side that are averaged; wider cones use coarser layers.", low=1, high=128)
-    layers: int = option(6, "Most layers of the pyramid, the image included.", low=1, high=16)
+    layers: int = option(10, "Most layers of the pyramid, the image included.", low=1, high=16)
 
 
 class State(eqx.Module):
