@@ -255,7 +255,7 @@ def in_scenes(
         size: (width, height).
         samples: GGX rays per pixel of the truth.
     Yields:
-        Per scene and alpha one row per method; `GGX rays` and `ms of GGX rays`: what ray tracing needs for the same RMSE.
+        Per scene and alpha one row per method; `GGX rays`, `ms of GGX rays`: what ray tracing needs for this RMSE.
     """
     for name in names:
         for alpha in alphas:

@@ -149,6 +149,7 @@ def test_a_slanted_floor_in_pixels_against_points_projected_one_by_one(table):
     assert abs(rows) > 0.95, "reflections on a floor are longer than wide"
 
 
+@pytest.mark.slow
 def test_convex_mirrors_shrink_footprints(table):
     """In the middle of a ball of radius R: tau / (1 + 2 tau d_c / R) in place of tau."""
     metal = glossy("g", (1, 1, 1), alpha=0.1, metallic=1.0)

@@ -11,7 +11,6 @@ paper's second moments are there to compare; two Gaussians.
 
 import jax
 import jax.numpy as jnp
-import optimistix
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
@@ -77,6 +76,8 @@ def fit_profiles(
     Returns:
         Weights, means along (those across are 0), and deviations along and across.
     """
+
+    import optimistix  # takes half a second, and the usual table is shipped
 
     def residuals(theta: Float[Array, "m"], _: None) -> Float[Array, "r"]:
         weight, mean, sigma = _unpack(theta)
