@@ -93,18 +93,18 @@ def edge_profiles(alphas: tuple[float, ...], taus: tuple[float, ...], *, side: i
     Args:
         alphas: Widths of the lobe.
         taus: Relative distances.
-        side: Columns of the picture; the blur is an eighth of it wide.
+        side: Columns of the picture; the blur, 2 alpha tau, is a sixteenth of it wide, and its middle half is compared.
     Returns:
         One row per table, alpha and tau.
     """
-    rows, shape = [], (64, side)
+    rows, shape = [], (side // 4, side)
     place = np.arange(side) + 0.5 - side / 2
     image = np.broadcast_to((place > 0)[None, :, None], (*shape, 3))
     for method in ("two", "one", "moments"):
         table = load_table(options=TableOptions(method))
         for alpha in alphas:
             for tau in taus:
-                focal = side / 8 / (2 * alpha * tau)
+                focal = side / 16 / (2 * alpha * tau)
                 scalars = (jnp.float32(1), jnp.float32(alpha), jnp.float32(1))
                 directions, weights = lobe_directions(scalars[0], scalars[1], rows=512, columns=256)
                 along, _, weights = offsets(directions, weights, scalars[2], surface="plane")
@@ -116,9 +116,9 @@ def edge_profiles(alphas: tuple[float, ...], taus: tuple[float, ...], *, side: i
                 size = _constant(
                     shape, lobe.weight, np.zeros((len(a), 2)), np.stack([a * a, 0 * a, b * b], -1)
                 )  # fmt: skip
-                found = np.asarray(_filter(image, flat_guides(shape), size, GlossOptions()))[32, :, 0]
+                found = np.asarray(_filter(image, flat_guides(shape), size, GlossOptions()))[side // 8, :, 0]
                 widths = [np.diff(np.interp([0.2, 0.8], p, place))[0] for p in (found, true)]
-                rmse = float(np.sqrt(np.mean((found - true) ** 2)))
+                rmse = float(np.sqrt(np.mean((found - true)[side // 4 : -side // 4] ** 2)))
                 rows.append(
                     {"Gaussians": method, "alpha": alpha, "tau": tau, "RMSE": rmse,
                      "width": float(widths[0] / widths[1] - 1)}

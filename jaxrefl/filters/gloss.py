@@ -36,8 +36,8 @@ from jaxrefl.filters.gloss_lines import REACH, TAPS, lines
 from jaxrefl.filters.gloss_window import window
 
 METHODS = ("window", "separable", "four_pass")
-_MARGIN = 1.5
-"""Layers around the one a footprint calls for that are filtered too, for reading between their pixels."""
+_MARGIN = 0.25
+"""By how much more than it takes layers are filtered, for reading between pixels whose footprints differ."""
 
 
 class Guides(eqx.Module):
@@ -164,7 +164,8 @@ def _one_gaussian(image: Layer, count: int, limits: Limits, options: GlossOption
     atlas = pack(image, others, places, size)
     number = jnp.where(atlas.id >= 0, atlas.id % count, -1)
     level = _level(atlas.covariance, number, count, options)
-    wanted = (jnp.abs(level - number.astype(jnp.float32)) < _MARGIN) & (atlas.id >= 0)
+    beyond = level - number.astype(jnp.float32)
+    wanted = (beyond < _MARGIN) & (beyond > -1.5 - _MARGIN) & (atlas.id >= 0)
     active = wanted.reshape(size[0] // TILE[0], TILE[0], -1, TILE[1]).any((1, 3))
     narrowed = _without_resampling(atlas.covariance, number)
     filtered = _filter(atlas._replace(data=atlas.data.at[13:16].set(narrowed)), active, limits, options)
@@ -195,7 +196,7 @@ def _join(
 ) -> Values:
     """A filtered layer and what the coarser ones make of it, each where it suits the footprint."""
     level = _level(fine.covariance, jnp.broadcast_to(number, fine.id.shape), count, options)
-    coarser = jnp.clip(level - number.astype(jnp.float32), 0, 1)
+    coarser = jnp.clip(2 * (level - number.astype(jnp.float32)) + 1, 0, 1)  # 1 before the window cuts anything off
     above = apart((coarser > 0) & (fine.id >= 0), enlarge, fine, *below, limits)
     has_own, has_above = own[3] > 0, above[3] > 0
     blend = jnp.where(has_above, jnp.where(has_own, coarser, 1), 0)
@@ -216,7 +217,7 @@ def _filter(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, options:
 def _level(
     covariance: Float[Array, "3 *b"], number: Int[Array, "*b"], count: int, options: GlossOptions
 ) -> Float[Array, "*b"]:
-    """Which layer a footprint calls for, from 0 to the coarsest, when it is given in pixels of layer `number`."""
+    """The finest layer that holds a footprint, which is given in pixels of layer `number`; not rounded."""
     axes = principal_axes(jnp.moveaxis(covariance, 0, -1))
     if options.method == "window":
         most = (options.radius + 0.5) / REACH
@@ -224,7 +225,7 @@ def _level(
         passes = 2.0 if options.method == "four_pass" else 1.0
         most = passes**0.5 * options.radius / REACH
     wide = jnp.log2(jnp.maximum(axes.major, 1e-6) / most)
-    return jnp.clip(jax.lax.stop_gradient(wide) + number.astype(wide.dtype), 0, count - 1)
+    return jnp.clip(jax.lax.stop_gradient(wide) + number.astype(wide.dtype), -1, count - 1.25)
 
 
 def _without_resampling(covariance: Float[Array, "3 *b"], number: Int[Array, "*b"]) -> Float[Array, "3 *b"]:
