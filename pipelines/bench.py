@@ -355,7 +355,7 @@ def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
     add(titles[0], edge_profiles(alphas, (0.2, 0.5, 0.9), side=side))
     add(titles[1], evaluations(side // 2, 8 if arguments.quick else 32))
     add(titles[2], peers(side, radii))
-    replaced = (None,) if arguments.quick else (None, *alphas[::2])
+    replaced = (None,) if arguments.quick else (None, *alphas[2:3])
     for rows in in_scenes(arguments.gloss, replaced, size=size, samples=samples):
         add(titles[3], rows)
     plot_scenes(sections[titles[-1]], arguments.out / "gloss.png")

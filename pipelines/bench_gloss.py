@@ -98,7 +98,7 @@ def edge_profiles(alphas: tuple[float, ...], taus: tuple[float, ...], *, side: i
         One row per table, alpha and tau.
     """
     rows, shape = [], (side // 4, side)
-    place = np.arange(side) + 0.5 - side / 2
+    place = np.arange(side) + 0.5 - (side / 2 + side // 100)  # not where pixels of coarse layers meet
     image = np.broadcast_to((place > 0)[None, :, None], (*shape, 3))
     for method in ("two", "one", "moments"):
         table = load_table(options=TableOptions(method))

@@ -160,7 +160,11 @@ def _one_gaussian(image: Layer, count: int, limits: Limits, options: GlossOption
     """Filter every layer where its resolution suits the footprint, and put the layers together."""
     h, w = image.id.shape
     places, size = layout(h, w, count)
-    others = pyramid(image, count, limits) if count > 1 else Layer(image.id[None][:0], image.data[None][:0])
+    finest = _level(image.covariance, jnp.zeros_like(image.id), count, options)
+    deepest = jnp.where(image.id >= 0, finest, -1).max() + 1.5 + _MARGIN
+    others = Layer(image.id[None][:0], image.data[None][:0])
+    if count > 1:
+        others = pyramid(image, count, limits, deepest)
     atlas = pack(image, others, places, size)
     number = jnp.where(atlas.id >= 0, atlas.id % count, -1)
     level = _level(atlas.covariance, number, count, options)

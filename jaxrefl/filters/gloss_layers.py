@@ -164,16 +164,17 @@ def _merged(fine: Layer, merge: Merge) -> Layer:
     return Layer(chosen.id, jnp.concatenate([*parts, chosen.mean / 2, chosen.covariance / 4]))
 
 
-def halve(fine: Layer, limits: Limits) -> Layer:
+def halve(fine: Layer, limits: Limits, wanted: Bool[Array, ""]) -> Layer:
     """The next coarser layer.
 
     Args:
         fine: A layer with even rows and columns.
         limits: Thresholds.
+        wanted: False: it is not needed, and comes back empty.
     Returns:
         One of half the size.
     """
-    some = fine.id >= 0
+    some = (fine.id >= 0) & wanted
     return apart(some, _merged, fine, apart(some, _merge, fine, limits), fill=-1.0)
 
 
@@ -190,22 +191,24 @@ def grown(layer: Layer, size: tuple[int, int]) -> Layer:
     return Layer(jnp.pad(layer.id, edges, constant_values=-1), jnp.pad(layer.data, [(0, 0), *edges]))
 
 
-def pyramid(image: Layer, count: int, limits: Limits) -> Layer:
+def pyramid(image: Layer, count: int, limits: Limits, deepest: Float[Array, ""]) -> Layer:
     """All layers but the first, each in the top left corner of an image of the second one's size.
 
     Args:
         image: The finest layer, with rows and columns that are multiples of 4.
         count: Layers, the finest included, >= 2.
         limits: Thresholds.
+        deepest: Layers with a number above this are not needed and stay empty.
     Returns:
         The layers [count - 1, ...] from the second one on.
     """
-    second = halve(image, limits)
+    second = halve(image, limits, deepest >= 1)
 
-    def step(fine: Layer, _: None) -> tuple[Layer, Layer]:
-        return grown(halve(fine, limits), (fine.id.shape[0], fine.id.shape[1])), fine
+    def step(fine: Layer, number: Array) -> tuple[Layer, Layer]:
+        coarse = halve(fine, limits, deepest >= number)
+        return grown(coarse, (fine.id.shape[0], fine.id.shape[1])), fine
 
-    _, layers = jax.lax.scan(step, second, None, length=count - 1)
+    _, layers = jax.lax.scan(step, second, jnp.arange(2, count + 1).astype(jnp.float32))
     return layers
 
 
