@@ -345,7 +345,8 @@ def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
         f"Milliseconds per Mpixel, {side} x {side} pixels, one thread each",
         f"Glossy layer, {size[0]} x {size[1]} pixels, against {samples} GGX rays per pixel",
     ]
-    argv = [Path(word).name for word in argv]  # scenes by name: where they lie is of no interest
+    # Scenes by folder and name: where they lie is of no interest.
+    argv = ["/".join(Path(word).parts[-2:]) for word in argv]
     sections: dict[str, list[dict]] = {}
 
     def add(title: str, rows: list[dict]) -> None:  # kept as it grows: it takes long

@@ -300,7 +300,7 @@ def plot_scenes(rows: Rows, out: Path) -> None:
         for label in METHODS:
             chosen = [r for r in rows if r["scene"] == name and r["method"] == label]
             x, y = [r["ms of the filter"] for r in chosen], [r["RMSE"] for r in chosen]
-            axis.loglog(x, y, "o", label=label, markersize=5)
+            axis.loglog(x, y, "x" if label.startswith("gather") else "o", label=label, markersize=5)
         axis.set(title=name, xlabel="time of the filter, ms", ylabel="RMSE of the glossy layer")
     axes[0][-1].legend(fontsize=6)
     figure.savefig(out, dpi=110)
