@@ -7,6 +7,7 @@ A scene goes in, an image with its layers and errors comes out; each step is a f
 
 from . import composite as composite
 from . import core as core
+from . import filters as filters
 from . import metrics as metrics
 from . import radiance as radiance
 from . import rays as rays
@@ -52,6 +53,8 @@ from .surface import build_gbuffer as build_gbuffer
 from .surface import look as look
 from .techniques import TECHNIQUES as TECHNIQUES
 from .techniques import envmap as envmap
+from .techniques import gather as gather
+from .techniques import mirror_gloss as mirror_gloss
 from .techniques import raytrace as raytrace
 from .techniques import temporal as temporal
 from .techniques import warp as warp

@@ -1,4 +1,6 @@
 from . import envmap as envmap
+from . import gather as gather
+from . import mirror_gloss as mirror_gloss
 from . import raytrace as raytrace
 from . import temporal as temporal
 from . import warp as warp

@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-from jaxrefl.techniques import envmap, raytrace, temporal, warp
+from jaxrefl.techniques import envmap, gather, mirror_gloss, raytrace, temporal, warp
 from jaxrefl.techniques._shape import Technique
 
 
@@ -16,6 +16,8 @@ TECHNIQUES: dict[str, Technique] = {
     for technique in (
         _technique("raytrace", "Brute force: mirror rays, or n GGX samples, for every reflective pixel.", raytrace),
         _technique("envmap", "Environment mapping: a prefiltered map captured once per reflector or scene.", envmap),
+        _technique("mirror_gloss", "Mirror rays, blurred by the footprint of each pixel's lobe.", mirror_gloss),
+        _technique("gather", "Image-space gathering: mirror rays, averaged over a disk in the image.", gather),
         _technique("warp", "Naive warping: key frames are traced, reflections stick to surfaces between them.", warp),
         _technique("temporal", "Reflections reprojected from key frames, traced where that fails.", temporal),
     )

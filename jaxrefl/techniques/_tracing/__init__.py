@@ -2,6 +2,8 @@
 
 from .light import following as following
 from .light import following_mirrors as following_mirrors
+from .mirrors import distance_of as distance_of
+from .mirrors import trace_mirrors as trace_mirrors
 from .options import TraceOptions as TraceOptions
 from .pixels import Traced as Traced
 from .pixels import nothing_traced as nothing_traced

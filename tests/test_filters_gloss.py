@@ -1,0 +1,207 @@
+"""The gloss filter against its definition, and what it promises: fixed points, ranges, edges, holes, gradients."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference.gloss import filtered
+
+from jaxrefl.filters import Footprint, GlossOptions, GlossParams, Guides, gloss
+
+H, W = 32, 40
+SIZE = (H, W)
+WINDOW, FOUR = GlossOptions("window", 10, 1), GlossOptions("four_pass", 10, 1)
+PYRAMID = GlossOptions("window", 4, 4)
+ONES = jnp.ones(SIZE)
+
+
+def guides(ids=None, normal=None, depth=None) -> Guides:
+    up = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), (*SIZE, 3))
+    return Guides(
+        jnp.zeros(SIZE, jnp.int32) if ids is None else jnp.asarray(ids, jnp.int32),
+        up if normal is None else jnp.asarray(normal, jnp.float32),
+        ONES if depth is None else jnp.asarray(depth, jnp.float32),
+        jnp.zeros((*SIZE, 2)),
+    )
+
+
+def round_footprint(sigma, mean=(0.0, 0.0)) -> Footprint:
+    variance = jnp.broadcast_to(jnp.asarray(sigma, jnp.float32) ** 2, SIZE)
+    return general_footprint(jnp.stack([variance, 0 * variance, variance], -1), mean)
+
+
+def general_footprint(covariance, mean=(0.0, 0.0)) -> Footprint:
+    covariance = jnp.broadcast_to(jnp.asarray(covariance, jnp.float32), (*SIZE, 3))[..., None, :]
+    return Footprint(jnp.ones((*SIZE, 1)), jnp.broadcast_to(jnp.asarray(mean, jnp.float32), (*SIZE, 1, 2)), covariance)
+
+
+def run(image, shape, options=WINDOW, guide=None, confidence=ONES, tau=ONES):
+    guide = guides() if guide is None else guide
+    image = jnp.asarray(image, jnp.float32)
+    image = image if image.ndim == 3 else jnp.broadcast_to(image[..., None], (*SIZE, 3))
+    radiance, known = gloss(
+        image, jnp.asarray(confidence, jnp.float32), tau, guide, shape, GlossParams(), options=options
+    )
+    return np.asarray(radiance), np.asarray(known)
+
+
+def noise(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).random((*SIZE, 3)).astype(np.float32)
+
+
+def smooth() -> np.ndarray:
+    y, x = np.mgrid[:H, :W]
+    return (0.5 + 0.5 * np.sin(x / 5) * np.cos(y / 7))[..., None] * np.ones(3, np.float32)
+
+
+def test_the_window_is_equation_4():
+    """Ids, normals, depths, holes, confidences, off-centre Gaussians: all at once, against loops in float64."""
+    rng = np.random.default_rng(1)
+    image, ids = noise(), (np.mgrid[:H, :W][1] > 22).astype(int)
+    normal = np.zeros((*SIZE, 3))
+    normal[..., 2] = 1
+    normal[:10, :, :] = [0, 1, 0]
+    depth = np.where(np.mgrid[:H, :W][0] > 24, 1.5, 1.0)
+    confidence = np.where(rng.random(SIZE) < 0.2, 0, rng.uniform(0.2, 1, SIZE))
+    found, known = run(
+        image, general_footprint((6.0, 2.0, 3.0), (1.0, -0.5)), guide=guides(ids, normal, depth), confidence=confidence
+    )  # fmt: skip
+    gaussian = [(1.0, np.array([1.0, -0.5]), np.array([[6.0, 2.0], [2.0, 3.0]]))]
+    expected = filtered(
+        image.astype(np.float64), confidence > 0, confidence, ids, normal, depth, np.zeros((*SIZE, 2)),
+        [[gaussian] * W] * H, (0.8, 0.1),
+    )  # fmt: skip
+    assert known.all()
+    # 1e-3 of a pixel squared is added to every variance, and the window ends at 4 deviations.
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("options", [WINDOW, FOUR, PYRAMID], ids=["window", "four_pass", "pyramid"])
+def test_constant_images_ranges_and_zero_footprints(options):
+    sigma = np.linspace(0, 6, W)[None, :] * np.ones((H, 1))
+    constant, _ = run(np.full(SIZE, 0.7), round_footprint(sigma), options)
+    np.testing.assert_allclose(constant, 0.7, rtol=1e-5)
+    image = noise()
+    blurred, _ = run(image, round_footprint(sigma), options)
+    assert blurred.min() >= image.min() - 1e-6 and blurred.max() <= image.max() + 1e-6
+    assert np.std(blurred[:, -8:]) < 0.3 * np.std(image[:, -8:])
+    identity, _ = run(image, round_footprint(0.0), options)
+    np.testing.assert_allclose(identity, image, atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [WINDOW, FOUR, PYRAMID], ids=["window", "four_pass", "pyramid"])
+def test_nothing_leaks_and_holes_are_filled(options):
+    """Two halves that differ in id, normal or depth keep their colours; unknown pixels take that of their half."""
+    right = np.mgrid[:H, :W][1] >= 17
+    image = np.where(right, 1.0, 0.0)
+    normal = np.zeros((*SIZE, 3))
+    normal[..., 0], normal[..., 2] = right, ~right
+    hole = np.zeros(SIZE, bool)
+    hole[5:9, 10:24] = True
+    image = np.where(hole, 1e6, image)
+    for guide in (guides(ids=right), guides(normal=normal), guides(depth=np.where(right, 2.0, 1.0))):
+        found, known = run(image, round_footprint(4.0), options, guide, confidence=np.where(hole, 0, 1))
+        assert known.all()
+        np.testing.assert_allclose(found, np.where(right, 1.0, 0.0)[..., None] * np.ones(3), atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [WINDOW, FOUR], ids=["window", "four_pass"])
+def test_turning_the_image_by_half_a_turn_turns_the_result(options):
+    image, shape = noise(), general_footprint((9.0, 3.0, 4.0))
+    straight, _ = run(image, shape, options)
+    turned, _ = run(image[::-1, ::-1], shape, options)
+    np.testing.assert_allclose(turned[::-1, ::-1], straight, atol=2e-5)
+
+
+@pytest.mark.parametrize("options", [WINDOW, FOUR], ids=["window", "four_pass"])
+def test_exchanging_the_axes_exchanges_the_result(options):
+    """With the two half turns, all rotations by quarters: here in a square part, away from the border."""
+    image = np.zeros((*SIZE, 3), np.float32)
+    image[16, 20] = 1.0
+    one, _ = run(image, general_footprint((6.0, 2.0, 2.0)), options)
+    other, _ = run(image, general_footprint((2.0, 2.0, 6.0)), options)
+    cut = slice(16 - 9, 16 + 10), slice(20 - 9, 20 + 10)
+    np.testing.assert_allclose(one[cut], other[cut].swapaxes(0, 1), atol=1e-5)
+
+
+def test_two_half_steps_are_a_whole_step():
+    image = noise()
+    half, _ = run(image, round_footprint(np.sqrt(2.0)))
+    twice, _ = run(half, round_footprint(np.sqrt(2.0)))
+    once, _ = run(image, round_footprint(2.0))
+    inside = np.s_[8:-8, 8:-8]
+    np.testing.assert_allclose(twice[inside], once[inside], atol=2e-3)
+
+
+def test_four_passes_are_near_the_window():
+    shape = general_footprint((5.0, 1.5, 3.0))
+    for image, most in ((smooth(), 0.01), (noise(), 0.03)):
+        exact, _ = run(image, shape)
+        fast, _ = run(image, shape, FOUR)
+        assert np.sqrt(np.mean((exact - fast)[6:-6, 6:-6] ** 2)) < most
+
+
+def test_coarse_layers_stand_for_wide_footprints():
+    """Away from the border a window of 9 pixels on the pyramid is one of 21 on the image."""
+    y, x = np.mgrid[:H, :W]
+    image = 0.5 + 0.5 * np.sin(0.2 * x + 0.15 * y)
+    shape = round_footprint(2.8)
+    exact, _ = run(image, shape)
+    fast, _ = run(image, shape, PYRAMID)
+    assert np.sqrt(np.mean((exact - fast)[8:-8, 8:-8] ** 2)) < 0.012  # measured 0.0098; the rest is the border's
+
+
+def test_near_things_stay_sharp_before_far_ones():
+    """`spread`: an edge at tau 0.2 before a background at tau 0.8 is blurred as its own distance says on both sides."""
+    near = np.mgrid[:H, :W][1] < 20
+    tau = jnp.asarray(np.where(near, 0.2, 0.8), jnp.float32)
+    sigma = 5 * np.where(near, 0.2, 0.8)
+    spread, _ = run(near.astype(np.float32), round_footprint(sigma), tau=tau)
+    plain, _ = run(
+        near.astype(np.float32), round_footprint(sigma), GlossOptions("window", 10, 1, spread=False), tau=tau
+    )
+    assert spread[16, 23, 0] < 0.02 < 0.1 < plain[16, 23, 0]
+
+
+def mean_square(image, covariance, tau, options):
+    shape = general_footprint(covariance)
+    return (gloss(image, ONES, tau, guides(), shape, GlossParams(), options=options)[0] ** 2).mean()
+
+
+GRADIENTS = jax.jit(jax.value_and_grad(mean_square, (0, 1, 2)), static_argnums=3)
+
+
+@pytest.mark.parametrize("options", [WINDOW, pytest.param(FOUR, marks=pytest.mark.slow)], ids=["window", "four_pass"])
+def test_values_and_gradients_are_finite_for_degenerate_footprints(options):
+    """Condition numbers up to 1e8, sizes from nothing to far beyond the image."""
+    scales = jnp.asarray([0.0, 1e-30, 1e-4, 1.0, 1e4, 1e8])
+    thin = jnp.stack([scales, 0.999 * jnp.sqrt(scales * 1e-8 * scales), 1e-8 * scales], -1)
+    covariance = jnp.tile(jnp.concatenate([thin, thin[:, ::-1]]), (H * W // 12 + 1, 1))[: H * W].reshape(H, W, 3)
+    for tau in (0.0, 0.5, 1.0):
+        value, gradients = GRADIENTS(jnp.asarray(noise()), covariance, ONES * tau, options)
+        assert np.isfinite(float(value)) and all(np.isfinite(np.asarray(g)).all() for g in gradients)
+
+
+def test_gradients_with_respect_to_width_are_right():
+    image, step = jnp.asarray(smooth()), 1e-2
+
+    def at(sigma):
+        covariance = jnp.broadcast_to(jnp.asarray([sigma**2, 0, sigma**2], jnp.float32), (*SIZE, 3))
+        return GRADIENTS(image, covariance, ONES, WINDOW)
+
+    expected = (float(at(2.0 + step)[0]) - float(at(2.0 - step)[0])) / (2 * step)
+    change = at(2.0)[1][1]
+    assert 2 * 2.0 * float(change[..., 0].sum() + change[..., 2].sum()) == pytest.approx(expected, rel=0.02)
+
+
+def test_values_of_thresholds_compile_once():
+    before = gloss._cache_size()  # type: ignore[attr-defined]
+    for normal in (0.7, 0.9):
+        gloss(jnp.asarray(noise()), ONES, ONES, guides(), round_footprint(1.0), GlossParams(normal), options=WINDOW)
+    assert gloss._cache_size() <= before + 1  # type: ignore[attr-defined]
+
+
+def test_options_are_checked():
+    for make in (lambda: GlossOptions("fast"), lambda: GlossOptions(taps="cubic"), lambda: GlossOptions(radius=0)):
+        with pytest.raises(ValueError, match="expected"):
+            make()
