@@ -76,7 +76,9 @@ def test_the_window_is_equation_4():
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
-@pytest.mark.parametrize("options", [WINDOW, FOUR, PYRAMID], ids=["window", "four_pass", "pyramid"])
+@pytest.mark.parametrize(
+    "options", [WINDOW, FOUR, pytest.param(PYRAMID, marks=pytest.mark.slow)], ids=["window", "four_pass", "pyramid"]
+)
 def test_constant_images_ranges_and_zero_footprints(options):
     sigma = np.linspace(0, 6, W)[None, :] * np.ones((H, 1))
     constant, _ = run(np.full(SIZE, 0.7), round_footprint(sigma), options)
@@ -89,7 +91,9 @@ def test_constant_images_ranges_and_zero_footprints(options):
     np.testing.assert_allclose(identity, image, atol=1e-6)
 
 
-@pytest.mark.parametrize("options", [WINDOW, FOUR, PYRAMID], ids=["window", "four_pass", "pyramid"])
+@pytest.mark.parametrize(
+    "options", [WINDOW, FOUR, pytest.param(PYRAMID, marks=pytest.mark.slow)], ids=["window", "four_pass", "pyramid"]
+)
 def test_nothing_leaks_and_holes_are_filled(options):
     """Two halves that differ in id, normal or depth keep their colours; unknown pixels take that of their half."""
     right = np.mgrid[:H, :W][1] >= 17

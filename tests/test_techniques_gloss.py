@@ -81,6 +81,7 @@ def profile_errors(frame: Frame, alpha: float, height: float, **knobs) -> tuple[
     return float(np.sqrt(np.mean((found - true)[middle] ** 2))), float(widths[0] / widths[1] - 1)
 
 
+@pytest.mark.slow
 def test_an_edge_at_a_known_distance_is_blurred_as_the_lobe_says():
     rmse, width = profile_errors(looking_down(0.05, 1.0), 0.05, 1.0)
     assert rmse < 0.02 and abs(width) < 0.05
