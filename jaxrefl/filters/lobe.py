@@ -40,7 +40,7 @@ def lobe_directions(
     Returns:
         Unit directions (along, across, ahead), and weights that sum to 1; 0 for what the surface itself blocks.
     """
-    u, v = (jnp.arange(rows) + 0.5) / rows, (jnp.arange(columns) + 0.5) / columns
+    u, v = (jnp.arange(n, dtype=jnp.float32) / n + 0.5 / n for n in (rows, columns))
     height, azimuth = jnp.meshgrid(u, v, indexing="ij")
     grid = jnp.stack([azimuth.reshape(-1), height.reshape(-1)], -1)
     sine = sqrt((1 - cosine) * (1 + cosine))
