@@ -58,13 +58,15 @@ def test_a_quick_benchmark_writes_its_tables(tmp_path):
 
 @pytest.mark.slow
 def test_a_quick_benchmark_of_reprojection_writes_its_tables(tmp_path):
-    assert main(["--temporal", "mirror_room", "--quick", "--out", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "temporal.json").read_text())
+    for part in ("errors", "growth"):
+        assert main(["--temporal", "mirror_room", "--quick", "--part", part, "--out", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "temporal_errors.json").read_text())
     errors = next(rows for title, rows in found.items() if "light from a map" in title)
     by_method = {row["method"]: row for row in errors}
     assert by_method["raytrace"]["MAE of 255"] == 0
     assert by_method["temporal"]["MAE of 255, mirrors"] < by_method["warp"]["MAE of 255, mirrors"]
-    assert (tmp_path / "temporal.png").exists()
+    growth = json.loads((tmp_path / "temporal_growth.json").read_text())
+    assert all(row["ratio"] > 0 for title, rows in growth.items() if title.startswith("Stages") for row in rows)
 
 
 @pytest.mark.slow
