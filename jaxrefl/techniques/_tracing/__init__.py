@@ -2,6 +2,8 @@
 
 from .light import following as following
 from .light import following_mirrors as following_mirrors
+from .mirrors import blurred as blurred
+from .mirrors import counts_of as counts_of
 from .mirrors import distance_of as distance_of
 from .mirrors import trace_mirrors as trace_mirrors
 from .options import TraceOptions as TraceOptions

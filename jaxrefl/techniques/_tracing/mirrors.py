@@ -4,11 +4,12 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrefl._status import Source
 from jaxrefl._types import Frame, GBuffer, Reflection
 from jaxrefl.filters import relative_distance
+from jaxrefl.surface import reflective
 from jaxrefl.techniques._tracing.options import TraceOptions
 from jaxrefl.techniques._tracing.pixels import nothing_traced, trace_reflected
 
@@ -39,3 +40,30 @@ def distance_of(gbuffer: GBuffer, sharp: Reflection) -> Float[Array, "h w"]:
     """
     far = sharp.source == int(Source.ENVIRONMENT)
     return relative_distance(gbuffer.t, jnp.where(far, jnp.inf, sharp.t))
+
+
+@jax.jit
+def blurred(sharp: Reflection, radiance: Float[Array, "h w 3"], known: Bool[Array, "h w"]) -> Reflection:
+    """A sharp reflection with what a filter made of its radiance.
+
+    Args:
+        sharp: From `trace_mirrors`.
+        radiance: The filtered radiance.
+        known: Where the filter has a result.
+    Returns:
+        The reflection; sharp where the filter has none.
+    """
+    use = (known & sharp.valid)[..., None]
+    return dataclasses.replace(sharp, radiance=jnp.where(use, radiance, sharp.radiance))
+
+
+def counts_of(gbuffer: GBuffer) -> dict[str, int]:
+    """What techniques that blur mirror rays tell of a frame.
+
+    Args:
+        gbuffer: G-buffer of the frame.
+    Returns:
+        `reflective_pixels`, and `glossy_pixels` among them.
+    """
+    shiny = reflective(gbuffer)
+    return {"reflective_pixels": int(shiny.sum()), "glossy_pixels": int((shiny & (gbuffer.alpha > 0)).sum())}

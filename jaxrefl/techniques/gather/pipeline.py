@@ -9,13 +9,10 @@ import dataclasses
 import time
 
 import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxrefl._types import Frame, Reflection, Scene, Tracer
 from jaxrefl.filters import GlossOptions, GlossParams, gloss, guides_of
-from jaxrefl.surface import reflective
-from jaxrefl.techniques._tracing import distance_of, trace_mirrors, trace_refracted
+from jaxrefl.techniques._tracing import blurred, counts_of, distance_of, trace_mirrors, trace_refracted
 from jaxrefl.techniques.gather.cone import cone_footprint
 from jaxrefl.techniques.gather.types import Info, Options, Params, State
 
@@ -63,17 +60,6 @@ def step(
         how = GlossOptions("window", options.radius, options.layers, spread=False)
         limits, guides = GlossParams(params.normal, params.depth), _guides(frame.camera, frame.gbuffer)
         radiance, known = gloss(sharp.radiance, sharp.confidence, tau, guides, size, limits, options=how)
-        result = jax.block_until_ready(_replaced(result, radiance, known))
+        result = jax.block_until_ready(blurred(result, radiance, known))
     seconds = {"trace": traced_at - began, "gather": time.perf_counter() - traced_at}
-    shiny = reflective(frame.gbuffer)
-    counts = {
-        "reflective_pixels": int(shiny.sum()),
-        "glossy_pixels": int((shiny & (frame.gbuffer.alpha > 0)).sum()),
-    }
-    return state, result, Info(frame.tracer.rays - cast_before, seconds, counts)
-
-
-@jax.jit
-def _replaced(sharp: Reflection, radiance: Float[Array, "h w 3"], known: Array) -> Reflection:
-    use = (known & sharp.valid)[..., None]
-    return dataclasses.replace(sharp, radiance=jnp.where(use, radiance, sharp.radiance))
+    return state, result, Info(frame.tracer.rays - cast_before, seconds, counts_of(frame.gbuffer))

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxrefl._types import Camera, Frame, GBuffer, Reflection, Scene, Tracer
 from jaxrefl.filters import Guides, footprint, gloss, guides_of, load_table
 from jaxrefl.surface import reflective
-from jaxrefl.techniques._tracing import distance_of, trace_mirrors, trace_refracted
+from jaxrefl.techniques._tracing import blurred, counts_of, distance_of, trace_mirrors, trace_refracted
 from jaxrefl.techniques.mirror_gloss.types import Info, Options, Params, State
 
 _footprint = jax.jit(footprint, static_argnames="options")
@@ -59,12 +59,7 @@ def step(
     result = sharp if state.table is None else blur(state, frame.camera, frame.gbuffer, sharp, params, options=options)
     result = jax.block_until_ready(result)
     seconds = {"trace": traced_at - began, "gloss": time.perf_counter() - traced_at}
-    shiny = reflective(frame.gbuffer)
-    counts = {
-        "reflective_pixels": int(shiny.sum()),
-        "glossy_pixels": int((shiny & (frame.gbuffer.alpha > 0)).sum()),
-    }
-    return state, result, Info(frame.tracer.rays - cast_before, seconds, counts)
+    return state, result, Info(frame.tracer.rays - cast_before, seconds, counts_of(frame.gbuffer))
 
 
 def blur(
@@ -92,16 +87,10 @@ def blur(
     radiance, known = gloss(
         sharp.radiance, sharp.confidence, tau, guides, size, params.gloss, options=options.filter
     )  # fmt: skip
-    return _replaced(sharp, radiance, known)
+    return blurred(sharp, radiance, known)
 
 
 @functools.partial(jax.jit, static_argnames="within")
 def _guides(camera: Camera, gbuffer: GBuffer, *, within: str) -> Guides:
     ids = 0 if within == "plane" else gbuffer.material
     return guides_of(camera, gbuffer, ids=jnp.where(reflective(gbuffer), ids, -1))
-
-
-@jax.jit
-def _replaced(sharp: Reflection, radiance: Float[Array, "h w 3"], known: Array) -> Reflection:
-    use = (known & sharp.valid)[..., None]
-    return dataclasses.replace(sharp, radiance=jnp.where(use, radiance, sharp.radiance))
