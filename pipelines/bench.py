@@ -5,7 +5,6 @@
 """
 
 import argparse
-import json
 import resource
 import statistics
 import subprocess
@@ -30,6 +29,7 @@ from pipelines.bench_main_job import run_main_job
 from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
 from pipelines.bench_path import bench_path
 from pipelines.bench_stability import bench_stability
+from pipelines.bench_tables import write
 from pipelines.bench_temporal import (
     INNER,
     PLAIN,
@@ -42,7 +42,6 @@ from pipelines.bench_temporal import (
     stage_costs,
     sweep,
 )
-from pipelines.stamp import hardware, versions
 
 FIGURES = Path(__file__).parent.parent / "docs" / "pages" / "figures"
 SCENE = "mirror_room"
@@ -199,20 +198,6 @@ def _run(arguments: list[str]) -> None:
     subprocess.run([sys.executable, "-m", "pipelines.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
-def table(rows: list[dict]) -> str:
-    """Rows as a Markdown table.
-
-    Args:
-        rows: Dictionaries with the same keys.
-    Returns:
-        The table.
-    """
-    keys = list(rows[0])
-    shown = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    head = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
-    return "\n".join(head + ["| " + " | ".join(line) + " |" for line in shown])
-
-
 def main(argv: list[str]) -> int:
     """Run the benchmarks.
 
@@ -261,28 +246,28 @@ def _speed(arguments: argparse.Namespace, argv: list[str]) -> None:
         "Peak memory of a process that renders one frame": [memory],
         "Time from starting the process to the first frame on disk": [start],
     }
-    _write(arguments.out, "bench", argv, sections, ["jaxrefl bench"])
+    write(arguments.out, "bench", argv, sections, ["jaxrefl bench"])
     energy = bench_energy((96, 54), 4) if arguments.quick else bench_energy((960, 540), 32)
-    _write(arguments.out, "energy", argv, {"The furnace: every mean should be 1": energy}, ["jaxrefl bench"])
+    write(arguments.out, "energy", argv, {"The furnace: every mean should be 1": energy}, ["jaxrefl bench"])
 
 
 def _main_job(arguments: argparse.Namespace, argv: list[str]) -> None:
     rows, commands = run_main_job(arguments.main_job)
-    _write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
+    write(arguments.out, "main_job", argv, {"Means over 24 frames": rows}, commands)
 
 
 def _path(arguments: argparse.Namespace, argv: list[str]) -> None:
     size, spp, long, names = ((16, 9), (4, 8), 64, ("cornell",)) if arguments.quick else ((32, 18), SPP, 4096, None)
     rows = bench_path(size, spp, long, names=names)
     title = f"Slope of log RMSE against log samples, {size[0]} x {size[1]} pixels, reference of {long} samples"
-    _write(arguments.out, "path_convergence", argv, {title: rows}, ["jaxrefl bench --path"])
+    write(arguments.out, "path_convergence", argv, {title: rows}, ["jaxrefl bench --path"])
 
 
 def _stability(arguments: argparse.Namespace, argv: list[str]) -> None:
     size, samples = ((16, 16), 2) if arguments.quick else ((128, 128), 64)
     rows = bench_stability("cornell", size, samples)
     title = f"`cornell`, {size[0]} x {size[1]} pixels, {samples} samples: difference from the scene as it is"
-    _write(arguments.out, "path_stability", argv, {title: rows}, ["jaxrefl bench --stability"])
+    write(arguments.out, "path_stability", argv, {title: rows}, ["jaxrefl bench --stability"])
 
 
 def _lightmap(arguments: argparse.Namespace, argv: list[str]) -> None:
@@ -291,7 +276,7 @@ def _lightmap(arguments: argparse.Namespace, argv: list[str]) -> None:
     title, rows = f"Baked against {samples} paths per pixel at {size[0]} x {size[1]}", []
     for row in bench_lightmap(arguments.lightmap, size, samples, tries):  # kept as it grows: it takes long
         rows.append(row)
-        _write(arguments.out, "lightmap", argv, {title: rows}, ["jaxrefl bench --lightmap SCENE ..."])
+        write(arguments.out, "lightmap", argv, {title: rows}, ["jaxrefl bench --lightmap SCENE ..."])
 
 
 def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
@@ -302,7 +287,7 @@ def _mitsuba(arguments: argparse.Namespace, argv: list[str]) -> None:
     rows = []
     for row in bench_mitsuba(arguments.mitsuba, size, samples, pictures, variants=variants):
         rows.append(row)  # kept as they grow: it takes long
-        _write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
+        write(arguments.out, "mitsuba", argv, {title: rows}, ["jaxrefl bench --mitsuba SCENE ..."])
 
 
 def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
@@ -312,8 +297,8 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
     command = f"jaxrefl bench --temporal SCENE ... --side {side} --frames {frames} --loop {loop} --part "
     stages_title = "Milliseconds per stage, frames that are no key frames"
 
-    def write(part: str, sections: dict[str, list[dict]]) -> None:
-        _write(arguments.out, f"temporal_{part}", argv, sections, [command + part])
+    def keep(part: str, sections: dict[str, list[dict]]) -> None:
+        write(arguments.out, f"temporal_{part}", argv, sections, [command + part])
 
     def route(name: str) -> Route:
         return open_path(name, (side, side), frames, loop, texels=texels)
@@ -325,7 +310,7 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
             rows, stages = compare_errors(route(name))
             sections[title] += rows
             sections[stages_title] += stages
-            write("errors", sections)  # kept as it grows: it takes long
+            keep("errors", sections)  # kept as it grows: it takes long
 
     def times() -> None:
         title = f"Time against ray tracing, {side} x {side} pixels"
@@ -335,16 +320,16 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
                 rows, stages = compare_times(route(name), light, variants, every=max(frames // 3, 1))
                 sections[title] += rows
                 sections[stages_title] += stages
-                write("times", sections)
+                keep("times", sections)
 
     def knobs() -> None:
         rows = sweep(route(arguments.temporal[0]))
         plot_sweep(rows, arguments.out / "temporal_knobs.png")
-        write("knobs", {f"Knobs, one at a time; {frames} frames, {side} x {side} pixels": rows})
+        keep("knobs", {f"Knobs, one at a time; {frames} frames, {side} x {side} pixels": rows})
 
     def growth() -> None:
         sides, triangles = ((64,), (1000,)) if arguments.quick else ((side // 4, side // 2, side), TRIANGLES)
-        write("growth", {
+        keep("growth", {
             "Milliseconds of all stages but tracing, by triangles and pixels": reuse_growth(sides, triangles),
             f"Stages beside their gathers, scatters and rays alone, {side} x {side} pixels": stage_costs(side),
         })  # fmt: skip
@@ -370,7 +355,7 @@ def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
 
     def add(title: str, rows: list[dict]) -> None:  # kept as it grows: it takes long
         sections[title] = sections.get(title, []) + rows
-        _write(arguments.out, "gloss", argv, sections, [command])
+        write(arguments.out, "gloss", argv, sections, [command])
 
     add(titles[0], edge_profiles(alphas, (0.2, 0.5, 0.9), side=side))
     add(titles[1], evaluations(side // 2, 8 if arguments.quick else 32))
@@ -392,17 +377,3 @@ _OTHERS = {
     "temporal": _temporal,
 }
 """Benchmarks that a flag asks for, in place of those of speed."""
-
-
-def _write(out: Path, name: str, argv: list[str], sections: dict[str, list[dict]], commands: list[str]) -> None:
-    """Print the tables; keep them as Markdown for the documentation and as JSON with what they were measured on."""
-    machine = hardware()
-    where = f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gib']} GiB"
-    parts = [f"**{title}**\n\n{table(rows)}" for title, rows in sections.items() if rows]
-    parts.append("Commands: " + "; ".join(f"`{command}`" for command in commands) + f". Seed 0. Measured on {where}.")
-    text = "\n\n".join(parts)
-    print(text)
-    out.mkdir(parents=True, exist_ok=True)
-    stamp = {"command": " ".join(["jaxrefl", "bench", *argv]), "versions": versions(), "hardware": machine, "seed": 0}
-    (out / f"{name}.json").write_text(json.dumps({"stamp": stamp, "commands": commands, **sections}, indent=1) + "\n")
-    (out / f"{name}.md").write_text(text + "\n")

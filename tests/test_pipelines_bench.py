@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from pipelines.bench import growth, interleaved, main, table
+from pipelines.bench import growth, interleaved, main
 from pipelines.bench_path import slopes
+from pipelines.bench_tables import table
 
 
 def test_growth_finds_exponents():
