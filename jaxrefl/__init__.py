@@ -52,6 +52,7 @@ from .scene import load as load
 from .surface import build_gbuffer as build_gbuffer
 from .surface import look as look
 from .techniques import TECHNIQUES as TECHNIQUES
+from .techniques import clusters as clusters
 from .techniques import envmap as envmap
 from .techniques import gather as gather
 from .techniques import mirror_gloss as mirror_gloss

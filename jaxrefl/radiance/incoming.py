@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrefl._types import GBuffer, Rays, Scene, Tracer
+from jaxrefl._types import GBuffer, Hits, Rays, Scene, Tracer
 from jaxrefl.core import dot, pixel_sequences, seed_of
 from jaxrefl.radiance.light_model import LightOptions, diffuse_light
 from jaxrefl.radiance.path import path_radiance
@@ -79,6 +79,7 @@ def incoming(
     active: Bool[Array, "n"],
     key: Array,
     *,
+    hits: Hits | None = None,
     options: IncomingOptions = IncomingOptions(),  # noqa: B008  frozen
 ) -> Incoming:
     """Trace rays and shade what they hit.
@@ -89,6 +90,7 @@ def incoming(
         rays: Rays [n].
         active: Which rays to trace.
         key: Random key, for light samples and rough refraction.
+        hits: Closest hits of the rays where they are known already; None: they are cast.
         options: Bounces, interfaces, diffuse light.
     Returns:
         Radiance and first hits [n].
@@ -97,14 +99,16 @@ def incoming(
         two counts are not used.
     """
     if options.light.model == "path":
-        return _all_light(scene, tracer, rays, active, key, options.light)
+        return _all_light(scene, tracer, rays, active, key, hits, options.light)
     follow_mirrors = options.bounces if scene.features.planar or scene.features.curved else 0
     follow_glass = options.interfaces if scene.features.refractive else 0
     path = _start(rays, active, follow_mirrors, follow_glass)
     first: list[GBuffer] = []
     for depth in range(follow_mirrors + follow_glass + 1):
         key_light, key_lobe = jax.random.split(jax.random.fold_in(key, depth))
-        points = build_gbuffer(scene, path.rays, tracer.closest(path.rays, active=path.active))
+        if depth > 0 or hits is None:
+            hits = tracer.closest(path.rays, active=path.active)
+        points = build_gbuffer(scene, path.rays, hits)
         light = diffuse_light(scene, tracer, points, key_light, options=options.light)
         first = first or [points]
         if depth == follow_mirrors + follow_glass:
@@ -117,10 +121,16 @@ def incoming(
 
 
 def _all_light(
-    scene: Scene, tracer: Tracer, rays: Rays, active: Bool[Array, "n"], key: Array, options: LightOptions
+    scene: Scene,
+    tracer: Tracer,
+    rays: Rays,
+    active: Bool[Array, "n"],
+    key: Array,
+    hits: Hits | None,
+    options: LightOptions,
 ) -> Incoming:
     """Everything that arrives along rays, by path tracing."""
-    points = build_gbuffer(scene, rays, tracer.closest(rays, active=active))
+    points = build_gbuffer(scene, rays, tracer.closest(rays, active=active) if hits is None else hits)
     rays = _parked(scene, rays, active)
     count, seed = active.shape[0], seed_of(key)
     sequence = pixel_sequences(seed, jnp.arange(count, dtype=jnp.int32))

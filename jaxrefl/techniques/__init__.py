@@ -1,3 +1,4 @@
+from . import clusters as clusters
 from . import envmap as envmap
 from . import gather as gather
 from . import mirror_gloss as mirror_gloss

@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-from jaxrefl.techniques import envmap, gather, mirror_gloss, raytrace, temporal, warp
+from jaxrefl.techniques import clusters, envmap, gather, mirror_gloss, raytrace, temporal, warp
 from jaxrefl.techniques._shape import Technique
 
 
@@ -19,6 +19,7 @@ TECHNIQUES: dict[str, Technique] = {
         _technique("mirror_gloss", "Mirror rays, blurred by the footprint of each pixel's lobe.", mirror_gloss),
         _technique("gather", "Image-space gathering: mirror rays, averaged over a disk in the image.", gather),
         _technique("warp", "Naive warping: key frames are traced, reflections stick to surfaces between them.", warp),
+        _technique("clusters", "Depth images of clusters of mirror rays, met by each pixel's own rays.", clusters),
         _technique("temporal", "Reflections reprojected from key frames, traced where that fails.", temporal),
     )
 }

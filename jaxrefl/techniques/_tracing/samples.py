@@ -59,8 +59,17 @@ def start_sums(index: Int[Array, "n"]) -> Sums:
     return Sums(zero, vector, zero, zero, vector, index >= 0, reached)
 
 
-def _lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array, "n 2"]:
-    """Point number `sample` of an R2 sequence, shifted differently in each pixel."""
+def lobe_sample(key: Array, sample: Int[Array, ""], count: int) -> Float[Array, "n 2"]:
+    """Point number `sample` of an R2 sequence, shifted differently in each pixel.
+
+    Args:
+        key: Random key of the block.
+        sample: Number of the sample.
+        count: Pixels in the block.
+    Returns:
+        Numbers in [0, 1), evenly spread over the samples of a pixel.
+    Source: [Roberts18].
+    """
     shift = jax.random.uniform(key, (count, 2))
     step = sample.astype(jnp.float32) * jnp.array(_R2, jnp.float32)
     return (shift + jnp.broadcast_to(step, shift.shape)) % 1
@@ -80,7 +89,7 @@ def reflected_rays(
     Returns:
         Rays off the surface, and their weights; 0 where there is nothing to trace.
     """
-    wi, weight = sample_reflection(points, _lobe_sample(key, sample, active.shape[0]))
+    wi, weight = sample_reflection(points, lobe_sample(key, sample, active.shape[0]))
     rays = Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
     return rays, jnp.where(active, weight, 0)
 
@@ -98,7 +107,7 @@ def refracted_rays(scene: Scene, points: GBuffer, key: Array, sample: Int[Array,
         Rays on the far side of the surface.
     """
     thin = scene.materials.thin[jnp.maximum(points.material, 0)]
-    wi = sample_refraction(points, thin, _lobe_sample(key, sample, thin.shape[0]))
+    wi = sample_refraction(points, thin, lobe_sample(key, sample, thin.shape[0]))
     return Rays(offset_origin(points.p, points.n, points.p_error, wi), wi)
 
 

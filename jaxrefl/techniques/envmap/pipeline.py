@@ -9,16 +9,15 @@ import time
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxrefl._status import Source
 from jaxrefl._types import Frame, GBuffer, Reflection, Scene, Tracer
 from jaxrefl.core import refract
 from jaxrefl.core.safe import norm
 from jaxrefl.surface import mirror_direction, reflective, refractive
+from jaxrefl.techniques._captured import capture_reflectors, read_stack
 from jaxrefl.techniques._shape import no_reflection
-from jaxrefl.techniques.envmap.capture import bounds_centre, capture, reflectors_of
-from jaxrefl.techniques.envmap.lookup import read_lobe, read_stack
+from jaxrefl.techniques.envmap.lookup import read_lobe
 from jaxrefl.techniques.envmap.prefilter import level_alphas, prefilter
 from jaxrefl.techniques.envmap.types import Info, Options, Params, State
 
@@ -38,34 +37,20 @@ def init(scene: Scene, tracer: Tracer, *, options: Options = Options()) -> State
     Edge cases: a scene without reflectors gets one map, captured from its centre, that nothing uses.
     """
     cast_before = tracer.rays
-    reflectors = reflectors_of(scene)
-    kept = reflectors[: options.reflectors] if options.scope == "object" else reflectors[:0]
-    everything = np.unique(np.asarray(scene.mesh.object))
-    sites = [(bounds_centre(scene, np.array([index])), int(index)) for index in kept]
-    if len(kept) < len(reflectors) or not sites:
-        sites.append((bounds_centre(scene, reflectors if len(reflectors) else everything), -1))
-    map_of_object = np.full(len(scene.names.objects), -1, np.int32)
-    map_of_object[reflectors] = len(sites) - 1
-    map_of_object[kept] = np.arange(len(kept))
-
-    captured = []
-    for number, (centre, own) in enumerate(sites):
-        key = jax.random.fold_in(jax.random.key(0), number)
-        captured.append(
-            capture(scene, tracer, jnp.asarray(centre, jnp.float32), own, options.height, key, light=options.captured)
-        )
-    sharp = jnp.stack([radiance for radiance, _ in captured])
-    nearness = jnp.stack([jnp.broadcast_to(near[..., None], (*near.shape, 3)) for _, near in captured])
+    maps = capture_reflectors(
+        scene, tracer, scope=options.scope, most=options.reflectors, height=options.height, light=options.captured
+    )
+    nearness = jnp.broadcast_to(maps.nearness[..., None], maps.sharp.shape)
     around = prefilter(nearness, jnp.full(1, _CONFIDENCE_ALPHA), options.rough_height)[:, 0, ..., 0]
     alpha = level_alphas(options.levels)
     return State(
-        centre=jnp.asarray(np.stack([centre for centre, _ in sites]), jnp.float32),
-        sharp=sharp,
+        centre=maps.centre,
+        sharp=maps.sharp,
         nearness=around,
-        rough=prefilter(sharp, alpha, options.rough_height),
+        rough=prefilter(maps.sharp, alpha, options.rough_height),
         alpha=alpha,
-        map_of_object=jnp.asarray(map_of_object),
-        overflow=jnp.asarray(len(reflectors) - len(kept) if options.scope == "object" else 0, jnp.int32),
+        map_of_object=maps.map_of_object,
+        overflow=maps.overflow,
         rays=jnp.asarray(tracer.rays - cast_before, jnp.int32),
     )
 

@@ -6,6 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, Float, Int
 
 from jaxrefl.radiance.light_model import MODELS, LightOptions
+from jaxrefl.techniques._captured import SCOPES
 from jaxrefl.techniques._knobs import check_options, option
 from jaxrefl.techniques._shape import Info as Info
 
@@ -18,7 +19,7 @@ class Params(eqx.Module):
 class Options:
     """Static knobs."""
 
-    scope: str = option("object", "One map per reflector, or one for the whole scene.", choices=("object", "scene"))
+    scope: str = option("object", "One map per reflector, or one for the whole scene.", choices=SCOPES)
     height: int = option(256, "Rows of each captured map; it has twice as many columns.", low=16, high=2048)
     rough_height: int = option(64, "Rows of the prefiltered maps for rough surfaces.", low=8, high=128)
     levels: int = option(6, "Prefiltered maps between alpha 0.05 and 1.", low=2, high=16)

@@ -1,0 +1,141 @@
+"""Depth images of cluster cameras: views -> for each texel the plane of the surface seen there, and its radiance.
+
+All texels of a frame are one flat list, made block by block: cast or drawn, shaded as the end of a reflected ray is,
+and written as planes. A texel's plane is that of the triangle it shows, so a ray that meets the triangle there is
+intersected with the triangle itself: flat things are exact at any resolution.
+
+Source: [WXKP14] §3.4.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrefl._types import Frame, Hits, Mesh, Rays
+from jaxrefl.core import dot
+from jaxrefl.core.safe import divide
+from jaxrefl.radiance import Incoming, incoming
+from jaxrefl.rays import offset_origin, put_block
+from jaxrefl.rays.views import Views, dot_axis, in_view, texel_count, view_rays
+from jaxrefl.surface.interpolate import position
+from jaxrefl.techniques._tracing import following_mirrors
+from jaxrefl.techniques.clusters.types import Options
+
+LAYERS = 8
+"""How many unseen surfaces of its own reflector a camera's ray passes before it stops at one."""
+
+
+class DepthImages(eqx.Module):
+    """What all views see, one row per texel."""
+
+    plane: Float[Array, "n 3"]
+    """1 / z at the texel's centre, and its change from texel to texel along x and y; 0 where nothing is seen."""
+    radiance: Float[Array, "n 3"]
+    """Radiance towards the view's eye; where nothing is seen that of the environment."""
+
+
+def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthImages:
+    """Render what all views see.
+
+    Args:
+        frame: Scene, key and tracer.
+        views: The views.
+        options: Light, bounces, block size, and `texels`, for which there is room.
+    Returns:
+        Depth images, of as many texels as there is room for.
+    Source: [WXKP14] §3.1, step 3b.
+    """
+    room, count = options.room(frame.gbuffer.t.size), int(texel_count(views))
+    images = DepthImages(jnp.zeros((room, 3), jnp.float32), jnp.zeros((room, 3), jnp.float32))
+    follow = following_mirrors(options)
+    key = jax.random.fold_in(frame.key, 1)
+    for number, start in enumerate(range(0, count, options.block)):
+        texel = jnp.arange(start, start + options.block, dtype=jnp.int32)
+        rays, view, active = _rays(views, texel, jnp.asarray(count, jnp.int32))
+        rays, hits = cast_views(frame, rays, view, views, active)
+        light = incoming(
+            frame.scene, frame.tracer, rays, active, jax.random.fold_in(key, number), hits=hits, options=follow
+        )
+        index = jnp.where(active, texel, -1)
+        images = put_block(index, images, _texels(views, view, light), batch_dims=1)
+    return images
+
+
+@jax.jit
+def _rays(views: Views, texel: Int[Array, "n"], count: Int[Array, ""]) -> tuple[Rays, Int[Array, "n"], Array]:
+    rays, view = view_rays(views, texel)
+    return rays, view, texel < count
+
+
+def cast_views(
+    frame: Frame, rays: Rays, view: Int[Array, "n"], views: Views, active: Bool[Array, "n"]
+) -> tuple[Rays, Hits]:
+    """Closest hits of texels' rays that are not on the unseen side of their view's own object.
+
+    Args:
+        frame: Scene and tracer.
+        rays: Rays of texels.
+        view: View of each.
+        views: The views.
+        active: Which rays to cast.
+    Returns:
+        The rays, from the last unseen surface on, and their hits.
+    """
+    hits = frame.tracer.closest(rays, active=active)
+    for _ in range(LAYERS):
+        unseen, beyond = _pass(frame.scene.mesh, rays, hits, view, views)
+        if not unseen.any():
+            break
+        rays = beyond
+        more = frame.tracer.closest(rays, active=unseen)
+        hits = _choose(unseen, more, hits)
+    return rays, hits
+
+
+@jax.jit
+def _pass(mesh: Mesh, rays: Rays, hits: Hits, view: Int[Array, "n"], views: Views) -> tuple[Bool[Array, "n"], Rays]:
+    """Hits on unseen sides, and the rays moved behind them."""
+    p, p_error, n = position(mesh, mesh.faces[hits.triangle], hits)
+    side = jnp.where(dot(n, rays.direction) <= 0, 1, 2)
+    own = mesh.object[hits.triangle] == views.own[view]
+    unseen = hits.valid & own & (views.unseen[view] & side > 0)
+    beyond = offset_origin(p, n, p_error, rays.direction)
+    return unseen, Rays(jnp.where(unseen[:, None], beyond, rays.origin), rays.direction)
+
+
+@jax.jit
+def _choose(condition: Bool[Array, "n"], a: Hits, b: Hits) -> Hits:
+    return jax.tree.map(lambda x, y: jnp.where(condition.reshape(-1, *(1,) * (x.ndim - 1)), x, y), a, b)
+
+
+@jax.jit
+def _texels(views: Views, view: Int[Array, "n"], light: Incoming) -> DepthImages:
+    return DepthImages(planes_seen(views, view, light.p, light.first.n, light.hit), light.radiance)
+
+
+def planes_seen(
+    views: Views, view: Int[Array, "n"], p: Float[Array, "n 3"], n: Float[Array, "n 3"], hit: Bool[Array, "n"]
+) -> Float[Array, "n 3"]:
+    r"""Planes through points on surfaces as a view sees them: 1 / z is linear in the image.
+
+    $$ 1 / z = \frac{n \cdot (s_x\,right + s_y\,down + forward)}{n \cdot (p - e)} $$
+
+    Args:
+        views: The views.
+        view: View of each point.
+        p: The points, world space, at the centres of texels.
+        n: Unit normals of the planes.
+        hit: Which of them there are.
+    Returns:
+        1 / z, and its change from texel to texel along x and y; 0 where there is nothing ahead of the eye.
+    Edge cases: planes seen edge on change by half of their 1 / z at the most: the next texel shows something else.
+    """
+    _, z = in_view(views, view, p)
+    seen = hit & (z > 0)
+    inverse = divide(jnp.ones_like(z), jnp.where(seen, z, 1))
+    height = dot(n, p - views.eye[view])
+    slopes = jnp.stack([dot_axis(views, view, n, 0), dot_axis(views, view, n, 1)], -1) * views.pitch[view]
+    steepest = 0.5 * inverse[:, None]
+    gradient = jnp.clip(divide(slopes, height[:, None]), -steepest, steepest)
+    return jnp.where(seen[:, None], jnp.concatenate([inverse[:, None], gradient], -1), 0)

@@ -1,0 +1,107 @@
+"""Which cluster each pixel belongs to: Mirrors -> labels.
+
+By bins of normals per reflector, compacted by segment operations without any sorting. Bins with one normal but several
+parallel planes (the steps of a stair) are split by the planes' distance.
+
+Source: [WXKP14] §3.2.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrefl.core import dot
+from jaxrefl.core.safe import normalise
+from jaxrefl.techniques.clusters.bins import MOST, fineness, octahedral_bin, spherical_bin
+from jaxrefl.techniques.clusters.cluster import FLAT, LEVEL, Mirrors
+from jaxrefl.techniques.clusters.segments import first_pixel, largest, smallest, sums
+from jaxrefl.techniques.clusters.split import split_labels
+from jaxrefl.techniques.clusters.types import Options, Params
+
+_PLANES = 16
+"""Most groups of parallel planes that a bin is split into."""
+
+
+def label_pixels(
+    mirrors: Mirrors, eye: Float[Array, "3"], params: Params, *, objects: int, options: Options
+) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """Cluster of each pixel.
+
+    Args:
+        mirrors: Mirror rays.
+        eye: Position of the viewer, world space.
+        params: `exponent`, `least`, `disparity`.
+        objects: How many objects the scene has.
+        options: `clusters`, `capacity`.
+    Returns:
+        Labels, -1 where there is no mirror ray; and how many clusters there would be without a limit.
+    Edge cases: what comes after the last cluster there is room for is merged into it.
+    """
+    if options.clusters != "split":
+        return by_normals(mirrors, params, objects=objects, bins=options.clusters, capacity=options.capacity)
+    label, count = by_reflector(mirrors, objects=objects, capacity=options.capacity)
+    label, wanted = split_labels(mirrors, label, eye, params, capacity=options.capacity)
+    return label, jnp.maximum(count, wanted)
+
+
+@functools.partial(jax.jit, static_argnames=("objects", "capacity"))
+def by_reflector(mirrors: Mirrors, *, objects: int, capacity: int) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """One cluster per reflector.
+
+    Args:
+        mirrors: Mirror rays.
+        objects: How many objects the scene has.
+        capacity: Most clusters.
+    Returns:
+        Labels, and how many there would be without a limit.
+    """
+    label, count = _compact(mirrors.object, mirrors.valid, objects)
+    return jnp.minimum(label, capacity - 1), count
+
+
+@functools.partial(jax.jit, static_argnames=("objects", "bins", "capacity"))
+def by_normals(
+    mirrors: Mirrors, params: Params, *, objects: int, bins: str, capacity: int
+) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """Clusters by bins of normals per reflector.
+
+    Args:
+        mirrors: Mirror rays.
+        params: `exponent`, `least`.
+        objects: How many objects the scene has.
+        bins: `octahedral` or `spherical`.
+        capacity: Most clusters; the last one takes all that come after it.
+    Returns:
+        Labels, -1 where there is no mirror ray; and how many clusters there would be without a limit.
+    """
+    pixels = jax.ops.segment_sum(mirrors.valid.astype(jnp.int32), mirrors.object, objects)
+    fine = fineness(pixels / mirrors.valid.shape[0], (pixels > 0).sum(), params.exponent, params.least)
+    binned = (octahedral_bin if bins == "octahedral" else spherical_bin)(mirrors.normal, fine[mirrors.object])
+    label, count = _compact(mirrors.object * MOST + binned, mirrors.valid, objects * MOST)
+    return _by_plane(mirrors, jnp.minimum(label, capacity - 1), count, capacity)
+
+
+def _compact(key: Int[Array, "n"], valid: Bool[Array, "n"], keys: int) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """Keys that occur, numbered from 0 in their order; -1 where not valid."""
+    used = jnp.zeros(keys, jnp.int32).at[jnp.where(valid, key, keys)].max(1, mode="drop")
+    rank = jax.lax.associative_scan(jnp.add, used)
+    return jnp.where(valid, rank[jnp.where(valid, key, 0)] - 1, -1), rank[-1]
+
+
+def _by_plane(
+    mirrors: Mirrors, label: Int[Array, "n"], count: Int[Array, ""], capacity: int
+) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """Labels in which flat clusters in several parallel planes have become several."""
+    normal = normalise(sums(label, mirrors.normal, capacity))
+    own = normal[label]
+    away = mirrors.normal - own
+    flat = largest(label, dot(away, away), capacity) < FLAT
+    height = dot(own, mirrors.p - mirrors.p[first_pixel(label, capacity)][label])
+    low, high = smallest(label, height, capacity), largest(label, height, capacity)
+    split = flat & (high - low > LEVEL * largest(label, mirrors.t, capacity))
+    level = (height - low[label]) / jnp.where(split, high - low, 1)[label] * _PLANES
+    level = jnp.where(split[label], jnp.clip(level.astype(jnp.int32), 0, _PLANES - 1), 0)
+    label, more = _compact(label * _PLANES + level, label >= 0, capacity * _PLANES)
+    return jnp.minimum(label, capacity - 1), jnp.maximum(count, more)

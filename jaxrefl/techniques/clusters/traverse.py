@@ -1,0 +1,224 @@
+"""Rays through depth images: Rays + Views + DepthImages -> where each ray first meets what its depth image shows.
+
+A ray is seen as a line in the image, along which its 1 / z is linear; so is that of a texel's plane. The line is
+followed from its near to its far end in steps of one texel. Where the ray goes from before to behind a texel's plane
+within one step, it meets the surface. Where it is suddenly behind what the texel shows, it has gone behind the edge of
+something: what it meets there the image does not know, until it comes out again.
+
+Source: [WXKP14] §3.4.
+"""
+
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrefl._types import Rays
+from jaxrefl.core import together
+from jaxrefl.rays.views import Views, dot_axis, in_view
+from jaxrefl.techniques.clusters.types import Found
+
+_BLOCK = 1024
+"""Rays that are followed together, until the last of them has ended."""
+_SHORT = 2
+"""Steps up to which a ray is followed with all others at once; those of planar clusters take one."""
+_TOUCH = 1e-3
+"""How far behind a surface a ray may start, as a share of its 1 / z, and still count as lying on it."""
+
+
+class Crossing(eqx.Module):
+    """How each ray ended [n]."""
+
+    found: Int[Array, "n"]
+    """A `Found` code."""
+    share: Float[Array, "n"]
+    """Where the hit is on the ray's image, from 0 at its near end to 1 at its far end."""
+    texel: Int[Array, "n"]
+    """The texel whose plane was hit, in the list of all; 0 where none was."""
+    steps: Int[Array, "n"]
+    """Steps taken."""
+
+
+class Lines(eqx.Module):
+    """Images of rays [n]."""
+
+    start: Float[Array, "n 2"]
+    """Near end in the view's image, texels."""
+    end: Float[Array, "n 2"]
+    """Far end."""
+    start_z: Float[Array, "n"]
+    """1 / z of the near end."""
+    end_z: Float[Array, "n"]
+    """1 / z of the far end."""
+    size: Int[Array, "n 2"]
+    """Texels of the view (width, height)."""
+    offset: Int[Array, "n"]
+    """First texel of the view."""
+
+
+@jax.jit
+def project_rays(
+    views: Views, view: Int[Array, "n"], rays: Rays, reach: Float[Array, "n"]
+) -> tuple[Lines, Bool[Array, "n"]]:
+    """Images of rays in their views.
+
+    Args:
+        views: The views.
+        view: View of each ray.
+        rays: The rays.
+        reach: Their lengths, world units.
+    Returns:
+        Lines, and which rays begin and end in the half space ahead of their view.
+    """
+    near, near_z = in_view(views, view, rays.origin)
+    along = jnp.stack([dot_axis(views, view, rays.direction, i) for i in range(3)], -1) * reach[:, None]
+    far, far_z = near + along[:, :2], near_z + along[:, 2]
+    ahead = (near_z > 0) & (far_z > 0)
+    inverse = [1 / jnp.where(ahead, z, 1) for z in (near_z, far_z)]
+    low, pitch = views.low[view], views.pitch[view]
+    ends = [(x * i[:, None] - low) / pitch for x, i in zip((near, far), inverse, strict=True)]
+    return Lines(*ends, *inverse, views.size[view], views.offset[view]), ahead
+
+
+class _Walk(NamedTuple):
+    """Rays on their way, all at the same step."""
+
+    step: Array
+    """Number of the step whose plane comes in next."""
+    plane: Array
+    """How far the ray is before the plane of the last step's texel, a + b share of its length, as a + i b."""
+    plane_before: Array
+    """The same of the step before."""
+    front: Array
+    """True: before what the texel shows."""
+    hidden: Array
+    """True: has been behind something."""
+    done: Array
+    share: Array
+    """Where it ended, 1 at the far end."""
+    last: Array
+    """Step whose texel's plane was hit; -1 for none."""
+
+
+@functools.partial(jax.jit, static_argnames="steps")
+def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *, steps: int) -> Crossing:
+    """Follow rays through their depth images.
+
+    Args:
+        plane: Of `DepthImages`.
+        lines: Images of the rays.
+        active: Which rays to follow; the others are `NO_CAMERA`.
+        steps: Most steps; longer lines take longer ones.
+    Returns:
+        Crossings.
+    Edge cases: a ray whose image is a point, as those of planar clusters are, takes one step. A ray that starts
+        behind what is seen, further than rounding explains, starts hidden.
+    Source: [WXKP14] §3.4.
+    Differs from the source: it takes any crossing of the two polylines for a hit, that of the step from the
+        background to an object before it too; here both texels' planes are asked first.
+    """
+    planes = (plane[:, 0], plane[:, 1], plane[:, 2])
+    n = active.shape[0]
+    length = jnp.ceil(jnp.abs(lines.end - lines.start).max(-1))
+    number = jnp.where(active, jnp.clip(length, 1, steps), 0).astype(jnp.int32)
+    short = number <= _SHORT
+    ended = _finish(lines, number, _walk(planes, lines, jnp.where(short, number, 0), _SHORT), short & active)
+    rank = jax.lax.associative_scan(jnp.add, (~short).astype(jnp.int32))
+    order = jnp.full(n + _BLOCK, n, jnp.int32)
+    order = order.at[jnp.where(short, n + _BLOCK, rank - 1)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+
+    def block(i: Array, ended: Crossing) -> Crossing:
+        index = jax.lax.dynamic_slice_in_dim(order, i * _BLOCK, _BLOCK)
+        safe = jnp.minimum(index, n - 1)
+        some = jax.tree.map(lambda x: x[safe], lines)
+        many = jnp.where(index < n, number[safe], 0)
+        part = _finish(some, many, _walk(planes, some, many, many.max()), index < n)
+        return jax.tree.map(lambda x, y: x.at[index].set(y, mode="drop"), ended, part)
+
+    return jax.lax.fori_loop(0, (rank[-1] + _BLOCK - 1) // _BLOCK, block, ended)
+
+
+def _place(lines: Lines, share: Array) -> tuple[Array, Array]:
+    """Column and row of the texel at a share of each ray's length."""
+    at = lines.start + (lines.end - lines.start) * share[:, None]
+    column, row = jnp.floor(at[:, 0]).astype(jnp.int32), jnp.floor(at[:, 1]).astype(jnp.int32)
+    most = jnp.maximum(lines.size - 1, 0)
+    return jnp.clip(column, 0, most[:, 0]), jnp.clip(row, 0, most[:, 1])
+
+
+def _walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array, most: Array | int) -> _Walk:
+    """Follow rays for `number` steps each.
+
+    A step reads the plane of its texel and does no more; it is tested in the next one. So what is gathered has one
+    consumer, and XLA, which computes a fusion anew for each, gathers it once.
+    """
+    level, slope_x, slope_y = planes
+    inverse = 1 / jnp.maximum(number, 1).astype(jnp.float32)
+
+    def share_at(step: Array) -> Array:
+        return jnp.minimum(step.astype(jnp.float32) * inverse, 1)
+
+    def plane_at(step: Array) -> Array:
+        column, row = _place(lines, share_at(step))
+        at = lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column
+        z, gx, gy = level[at], slope_x[at], slope_y[at]
+        u = lines.start[:, 0] - column.astype(jnp.float32) - 0.5
+        v = lines.start[:, 1] - row.astype(jnp.float32) - 0.5
+        dx, dy = lines.end[:, 0] - lines.start[:, 0], lines.end[:, 1] - lines.start[:, 1]
+        ahead = lines.start_z - (z + gx * u + gy * v)
+        change = lines.end_z - lines.start_z - (gx * dx + gy * dy)
+        return together(ahead, change)
+
+    def body(walk: _Walk) -> _Walk:
+        step = walk.step - 1
+        now_at, was_at = share_at(step), share_at(step - 1)
+        a, b = jnp.real(walk.plane), jnp.imag(walk.plane)
+        c, d = jnp.real(walk.plane_before), jnp.imag(walk.plane_before)
+        now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
+        going = ~walk.done
+        crossed = going & walk.front & (now <= 0)
+        here = crossed & (was > 0)
+        there = crossed & ~here & (old_now <= 0)
+        hit = here | there
+        old_part = jnp.maximum(old_was, 0) / jnp.where(there & (old_was > old_now), old_was - old_now, 1)
+        part = jnp.where(here, was / jnp.where(here, was - now, 1), old_part)
+        place = was_at + (now_at - was_at) * part
+        return _Walk(
+            step=walk.step + 1,
+            plane=plane_at(walk.step),
+            plane_before=walk.plane,
+            front=jnp.where(going, now > 0, walk.front),
+            hidden=walk.hidden | (crossed & ~hit),
+            done=walk.done | hit | (step >= number),
+            share=jnp.where(hit, place, walk.share),
+            last=jnp.where(hit, step - there.astype(jnp.int32), walk.last),
+        )
+
+    zero = jnp.zeros_like(lines.start_z)
+    first = plane_at(jnp.zeros((), jnp.int32))
+    touching = jnp.real(first) > -_TOUCH * lines.start_z
+    start = _Walk(
+        step=jnp.full((), 2, jnp.int32),
+        plane=plane_at(jnp.ones((), jnp.int32)),
+        plane_before=first,
+        front=touching,
+        hidden=~touching,
+        done=number <= 0,
+        share=zero + 1,
+        last=jnp.full(zero.shape, -1, jnp.int32),
+    )
+    return jax.lax.while_loop(lambda walk: (walk.step <= most + 1) & ~walk.done.all(), body, start)
+
+
+def _finish(lines: Lines, number: Array, walk: _Walk, active: Array) -> Crossing:
+    hit = active & (walk.last >= 0)
+    seen = jnp.where(hit, int(Found.SURFACE), jnp.where(walk.front, int(Found.SKY), int(Found.HIDDEN)))
+    passed = walk.hidden & (hit | walk.front)
+    found = jnp.where(active, jnp.where(passed, int(Found.PASSED), seen), int(Found.NO_CAMERA))
+    at = jnp.minimum(walk.last.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
+    column, row = _place(lines, at)
+    texel = jnp.where(hit, lines.offset + row * lines.size[:, 0] + column, 0)
+    return Crossing(found.astype(jnp.int32), walk.share, texel, jnp.where(hit, walk.last, number))
