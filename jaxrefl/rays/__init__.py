@@ -7,3 +7,12 @@ from .brute import BruteTracer as BruteTracer
 from .camera_rays import camera_rays as camera_rays
 from .embree import EmbreeTracer as EmbreeTracer
 from .offset import offset_origin as offset_origin
+from .raster import draw_triangles as draw_triangles
+from .raster import raster_camera as raster_camera
+from .raster import raster_hits as raster_hits
+from .views import Views as Views
+from .views import in_view as in_view
+from .views import seen_by as seen_by
+from .views import texel_count as texel_count
+from .views import view_of as view_of
+from .views import view_rays as view_rays

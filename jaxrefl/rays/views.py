@@ -86,15 +86,14 @@ def place_texels(views: Views, texel: Int[Array, "n"]) -> tuple[Int[Array, "n"],
     return view, within % width, within // width
 
 
-def view_rays(views: Views, texel: Int[Array, "n"]) -> tuple[Rays, Int[Array, "n"]]:
+def view_rays(views: Views, texel: Int[Array, "n"]) -> tuple[Rays, Int[Array, "n"], Bool[Array, "n"]]:
     """Rays through the centres of texels, from the clipping plane on where that lies ahead of the eye.
 
     Args:
         views: Any views.
         texel: Numbers of texels.
     Returns:
-        Rays [n], and the view of each.
-    Edge cases: the ray of a texel that looks away from the visible side of its clipping plane starts at the eye.
+        Rays [n], the view of each, and whether it ever reaches the visible side of the clipping plane.
     """
     view, column, row = place_texels(views, texel)
     at = jnp.stack([column, row], -1).astype(jnp.float32) + 0.5
@@ -106,7 +105,7 @@ def view_rays(views: Views, texel: Int[Array, "n"]) -> tuple[Rays, Int[Array, "n
     height = (plane[:, :3] * eye).sum(-1) + plane[:, 3]
     rising = (plane[:, :3] * direction).sum(-1)
     start = jnp.where((height < 0) & (rising > 0), divide(-height, rising), 0)
-    return Rays(eye + direction * start[:, None], direction), view
+    return Rays(eye + direction * start[:, None], direction), view, (height >= 0) | (rising > 0)
 
 
 def in_view(

@@ -60,7 +60,7 @@ class Surroundings(eqx.Module):
     """Diffuse light of the pixels, into which far reflections fade; None: they do not."""
 
 
-def no_answer(shape: tuple[int, int]) -> Answer:
+def no_answer(shape: tuple[int, ...]) -> Answer:
     """An image without answers.
 
     Args:

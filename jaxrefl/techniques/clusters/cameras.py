@@ -73,8 +73,8 @@ def cluster_cameras(
         too widely, or lie before it, is moved back until it does not. What no pinhole can see has no camera.
     Source: [WXKP14] §3.3.
     Differs from the source: with `axis = "rays"` the image plane faces the mean ray, not the mean normal, so that
-        texels are as even as pixels on slanted mirrors too; with `near = "behind"` the clipping plane lies behind all
-        points of the cluster, so that no ray starts before it.
+        texels are as even as pixels on slanted mirrors too; with `near = "behind"` the clipping plane of a curved
+        cluster stands across the axis before the first of its points, so that no ray starts or goes behind it.
     """
     capacity, label = clusters.pixels.shape[0], clusters.label
     eye = _place_eye(camera, mirrors, clusters, diameter, options)
@@ -121,7 +121,7 @@ def cluster_cameras(
         pitch=jnp.stack([pitch, pitch], -1),
         size=texels,
         offset=jnp.cumsum(count) - count,
-        clip=_clip(mirrors, clusters, options),
+        clip=_clip(clusters, views, smallest(label, z, capacity), options),
     )
     return ClusterCameras(views, usable & fits, reach, count.sum() / jnp.maximum(wanted, 1))
 
@@ -200,9 +200,13 @@ def _texels(extent: Array, pitch: Array, usable: Array) -> Float[Array, ""]:
     return (sizes[:, 0] * sizes[:, 1]).sum()
 
 
-def _clip(mirrors: Mirrors, clusters: Clusters, options: Options) -> Float[Array, "c 4"]:
-    """Planes along the clusters, moved so that the reflector's own points lie behind them by their rounding error."""
-    height = dot(mirrors.p - clusters.centre[clusters.label], clusters.normal[clusters.label])
-    lowest = smallest(clusters.label, height, clusters.pixels.shape[0])
-    level = jnp.where(clusters.planar, 0, lowest if options.near == "behind" else 0) + 2 * clusters.p_error
-    return jnp.concatenate([clusters.normal, -(dot(clusters.normal, clusters.centre) + level)[:, None]], -1)
+def _clip(clusters: Clusters, views: Views, nearest: Array, options: Options) -> Float[Array, "c 4"]:
+    """Near planes: mirrors themselves, and for curved clusters across the view's axis before the first of its points.
+
+    All lie ahead of the reflector's own points by their rounding error, or behind them.
+    """
+    forward = views.axes[:, 2]
+    across = jnp.concatenate([forward, -(dot(forward, views.eye) + nearest - 2 * clusters.p_error)[:, None]], -1)
+    level = dot(clusters.normal, clusters.centre) + 2 * clusters.p_error
+    along = jnp.concatenate([clusters.normal, -level[:, None]], -1)
+    return jnp.where((clusters.planar | (options.near == "centre"))[:, None], along, across)

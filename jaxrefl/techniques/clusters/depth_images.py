@@ -17,6 +17,7 @@ from jaxrefl.core import dot
 from jaxrefl.core.safe import divide
 from jaxrefl.radiance import Incoming, incoming
 from jaxrefl.rays import offset_origin, put_block
+from jaxrefl.rays.raster import draw_triangles, raster_hits
 from jaxrefl.rays.views import Views, dot_axis, in_view, texel_count, view_rays
 from jaxrefl.surface.interpolate import position
 from jaxrefl.techniques._tracing import following_mirrors
@@ -24,6 +25,10 @@ from jaxrefl.techniques.clusters.types import Options
 
 LAYERS = 8
 """How many unseen surfaces of its own reflector a camera's ray passes before it stops at one."""
+
+
+_LEFT = 1 / 64
+"""Share of its length that is left of a ray whose hit was drawn; what the view does not see lies behind."""
 
 
 class DepthImages(eqx.Module):
@@ -47,13 +52,18 @@ def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthI
     Source: [WXKP14] §3.1, step 3b.
     """
     room, count = options.room(frame.gbuffer.t.size), int(texel_count(views))
+    mesh = frame.scene.mesh
+    drawn = draw_triangles(mesh, views, room=room) if options.maker == "raster" else None
     images = DepthImages(jnp.zeros((room, 3), jnp.float32), jnp.zeros((room, 3), jnp.float32))
     follow = following_mirrors(options)
     key = jax.random.fold_in(frame.key, 1)
     for number, start in enumerate(range(0, count, options.block)):
         texel = jnp.arange(start, start + options.block, dtype=jnp.int32)
         rays, view, active = _rays(views, texel, jnp.asarray(count, jnp.int32))
-        rays, hits = cast_views(frame, rays, view, views, active)
+        if drawn is None:
+            rays, hits = cast_views(frame, rays, view, views, active)
+        else:
+            rays, hits = _drawn_hits(mesh, views, texel, active, drawn)
         light = incoming(
             frame.scene, frame.tracer, rays, active, jax.random.fold_in(key, number), hits=hits, options=follow
         )
@@ -64,8 +74,17 @@ def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthI
 
 @jax.jit
 def _rays(views: Views, texel: Int[Array, "n"], count: Int[Array, ""]) -> tuple[Rays, Int[Array, "n"], Array]:
-    rays, view = view_rays(views, texel)
-    return rays, view, texel < count
+    rays, view, sees = view_rays(views, texel)
+    return rays, view, (texel < count) & sees
+
+
+@jax.jit
+def _drawn_hits(mesh: Mesh, views: Views, texel: Array, active: Array, drawn: Array) -> tuple[Rays, Hits]:
+    """Hits of texels' rays on what was drawn there; the rays start just before, as nothing else lies in between."""
+    triangle = jnp.where(active, drawn[jnp.minimum(texel, drawn.shape[0] - 1)], -1)
+    rays, hits = raster_hits(mesh, views, texel, triangle)
+    origin = rays.origin + rays.direction * (hits.t * (1 - _LEFT))[:, None]
+    return Rays(origin, rays.direction), eqx.tree_at(lambda h: h.t, hits, hits.t * _LEFT)
 
 
 def cast_views(

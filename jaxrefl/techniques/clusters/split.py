@@ -11,7 +11,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxrefl.core import dot
 from jaxrefl.core.safe import divide
@@ -20,6 +20,8 @@ from jaxrefl.techniques.clusters.eye import mirrored_eye, nearest_point
 from jaxrefl.techniques.clusters.segments import largest, sums
 from jaxrefl.techniques.clusters.types import Params
 
+STRIDE = 3
+"""Of so many pixels one is looked at to decide where to cut; all are then put on their side."""
 ROUNDS = 16
 """Most rounds; each doubles the number of clusters at the most."""
 WIDEST = 0.34
@@ -43,6 +45,7 @@ def split_labels(
         New labels, and how many clusters there would have been without a limit, as far as that is known.
     """
     feature = _features(mirrors, label, capacity)
+    some, some_feature = jax.tree.map(lambda x: x[::STRIDE], (mirrors, feature))
     count = jnp.max(label) + 1
 
     def unfinished(state: tuple) -> Array:
@@ -51,14 +54,15 @@ def split_labels(
 
     def one_round(state: tuple) -> tuple:
         number, label, wanted, _ = state
-        clusters = describe(mirrors, label, capacity=capacity)
-        cost = _cost(mirrors, clusters, eye, params)
+        clusters = describe(some, label[::STRIDE], capacity=capacity)
+        cost = _cost(some, clusters, eye, params)
         used = jnp.max(label) + 1
         rank = jnp.argsort(jnp.argsort(-cost))
         # Half of the room that is left goes to this round: the worst of its halves may need more.
         splits = (cost > 0) & (rank < (capacity - used + 1) // 2)
         place = used + jax.lax.associative_scan(jnp.add, splits.astype(jnp.int32)) - 1
-        upper = _upper_half(feature, clusters, capacity) & (label >= 0) & splits[label]
+        axis, cut = _halves(some_feature, clusters, capacity)
+        upper = (label >= 0) & splits[label] & (dot_last(feature, axis[label]) > cut[label])
         wanted = jnp.maximum(wanted, used + (cost > 0).sum())
         return number + 1, jnp.where(upper, place[label], label), wanted, splits.any()
 
@@ -88,11 +92,11 @@ def _cost(mirrors: Mirrors, clusters: Clusters, eye: Array, params: Params) -> F
     narrow = -largest(label, -dot(mirrors.wi, clusters.forward[label]), capacity)
     poor = (total > clusters.pixels * params.disparity**2) | (narrow < WIDEST)
     total = jnp.where(narrow < WIDEST, clusters.pixels.astype(total.dtype), total)
-    return jnp.where(poor & ~clusters.planar & (clusters.pixels >= 2 * params.smallest), total, 0)
+    return jnp.where(poor & ~clusters.planar & (STRIDE * clusters.pixels >= 2 * params.smallest), total, 0)
 
 
-def _upper_half(feature: Array, clusters: Clusters, capacity: int) -> Bool[Array, "n"]:
-    """Which pixels belong to the second half of their cluster."""
+def _halves(feature: Array, clusters: Clusters, capacity: int) -> tuple[Float[Array, "c 6"], Float[Array, "c"]]:
+    """How each cluster is cut in two: an axis, and the value along it above which a pixel is in the second half."""
     label = clusters.label
     count = jnp.maximum(clusters.pixels, 1).astype(feature.dtype)[:, None]
     mean = sums(label, feature, capacity) / count
@@ -102,10 +106,10 @@ def _upper_half(feature: Array, clusters: Clusters, capacity: int) -> Bool[Array
     total = sums(label, jnp.where(upper[:, None], away, 0), capacity)
     above = jnp.maximum(sums(label, upper.astype(feature.dtype), capacity), 1)[:, None]
     below = jnp.maximum(count - above, 1)
-    # The two halves' means, relative to the whole's; their distance and middle decide the cut.
+    # The halves' means, relative to the whole's: k-means cuts half way between them.
     high, low = total / above, -total / below
-    cut = dot_last((high + low) / 2, high - low)
-    return dot_last(away, (high - low)[label]) > cut[label]
+    axis = high - low
+    return axis, dot_last((high + low) / 2 + mean, axis)
 
 
 def dot_last(a: Array, b: Array) -> Array:

@@ -80,7 +80,7 @@ def project_rays(
     inverse = [1 / jnp.where(ahead, z, 1) for z in (near_z, far_z)]
     low, pitch = views.low[view], views.pitch[view]
     ends = [(x * i[:, None] - low) / pitch for x, i in zip((near, far), inverse, strict=True)]
-    return Lines(*ends, *inverse, views.size[view], views.offset[view]), ahead
+    return Lines(ends[0], ends[1], inverse[0], inverse[1], views.size[view], views.offset[view]), ahead
 
 
 class _Walk(NamedTuple):
