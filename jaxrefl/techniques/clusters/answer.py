@@ -24,6 +24,10 @@ from jaxrefl.techniques.clusters.traverse import follow, project_rays
 from jaxrefl.techniques.clusters.types import Found, Options, Params
 
 
+MIRROR = 0
+"""Number of samples of pixels whose lobe is one direction."""
+
+
 class Answer(eqx.Module):
     """What pixels reflect [*b], by their depth images."""
 
@@ -88,7 +92,7 @@ def answer(frame: Frame, label: Int[Array, "h w"], around: Surroundings, params:
     image, smooth = no_answer(label.shape), frame.gbuffer.alpha == 0
     size = block_size(label.size, options.block)
     key = jax.random.fold_in(frame.key, 2)
-    passes = (((label >= 0) & smooth, 1), ((label >= 0) & ~smooth, options.samples))
+    passes = (((label >= 0) & smooth, MIRROR), ((label >= 0) & ~smooth, options.samples))
     for pass_number, (mask, samples) in enumerate(passes):
         for number, index in enumerate(blocks_of(mask, size=size)):
             own = jax.random.fold_in(jax.random.fold_in(key, pass_number), number)
@@ -107,14 +111,13 @@ def _block(
     active = (index >= 0) & (label >= 0)
     view = jnp.maximum(label, 0)
     zero, vector = jnp.zeros(active.shape, jnp.float32), jnp.zeros_like(points.p)
-    one_for_all = options.glossy == "neighbourhood" and samples > 1
-    mirror = Rays(points.p, mirror_direction(points))
-    first = _see(mirror, view, active, points, around, options) if one_for_all else None
+    one_for_all = options.glossy == "neighbourhood" and samples != MIRROR
+    first = _see(_mirror_rays(points), view, active, around, options) if one_for_all else None
 
     def add(number: Array, sums: tuple[Array, ...]) -> tuple[Array, ...]:
         rays, weight = _lobe_rays(points, active, key, number, params, samples, options)
         if first is None:
-            seen, found, steps = _see(rays, view, active, points, around, options)
+            seen, found, steps = _see(rays, view, active, around, options)
         else:
             middle, found, steps = first
             seen = look_beside(around.images, around.cameras.views, view, rays, middle, around.lights)
@@ -129,12 +132,14 @@ def _block(
         return tuple(x + y for x, y in zip(sums, added, strict=True))
 
     sums = (zero, vector, zero, vector, zero, zero, zero, jnp.zeros((*active.shape, len(Found)), jnp.float32))
-    known, radiance, hit, p, t, weight, steps, codes = jax.lax.fori_loop(0, samples, add, sums)
+    number = jnp.zeros((), jnp.int32)
+    sums = add(number, sums) if samples == MIRROR else jax.lax.fori_loop(0, samples, add, sums)
+    known, radiance, hit, p, t, weight, steps, codes = sums
     inverse_known, inverse_hit = (1 / jnp.where(x > 0, x, 1) for x in (known, hit))
     share = known / jnp.where(weight > 0, weight, 1)
     found = jnp.argmax(codes, -1).astype(jnp.int32)
     clean = codes[:, int(Found.SURFACE)] + codes[:, int(Found.SKY)]
-    if samples > 1:
+    if samples != MIRROR:
         mostly = jnp.where(codes[:, int(Found.NO_CAMERA)] > samples / 2, int(Found.NO_CAMERA), int(Found.HIDDEN))
         found = jnp.where(clean < params.known * samples, mostly, found).astype(jnp.int32)
     return Answer(
@@ -151,10 +156,16 @@ def _block(
 def _lobe_rays(
     points: GBuffer, active: Array, key: Array, number: Array, params: Params, samples: int, options: Options
 ) -> tuple[Rays, Float[Array, "n"]]:
-    if options.lobes == "ggx" or samples == 1:
+    if samples == MIRROR:
+        return _mirror_rays(points), jnp.where(active, 1.0, 0.0)
+    if options.lobes == "ggx":
         rays, weight = reflected_rays(points, active, key, number)
         return Rays(points.p, rays.direction), weight
     return cone_rays(points, active, lobe_sample(key, number, active.shape[0]), params)
+
+
+def _mirror_rays(points: GBuffer) -> Rays:
+    return Rays(points.p, mirror_direction(points))
 
 
 def cone_rays(
@@ -178,9 +189,7 @@ def cone_rays(
     return Rays(points.p, keep_above(direction, points.n)), jnp.where(active & above, 1.0, 0.0)
 
 
-def _see(
-    rays: Rays, view: Array, active: Array, points: GBuffer, around: Surroundings, options: Options
-) -> tuple[Seen, Array, Array]:
+def _see(rays: Rays, view: Array, active: Array, around: Surroundings, options: Options) -> tuple[Seen, Array, Array]:
     """Follow one ray per pixel and look up what it found."""
     cameras = around.cameras
     reach = cameras.reach[view]

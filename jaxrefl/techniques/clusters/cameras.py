@@ -24,6 +24,8 @@ NEAR_SLOPE = 3.0
 """Largest slope at which the near end of a ray may be seen; eyes too close to their cluster are moved back."""
 FAR_SLOPE = 10.0
 """Largest slope at which a far end may be seen, 84 degrees off the axis; clusters with rays beyond have no camera."""
+LOBE_SLOPE = 2.0
+"""Slope up to which a view is widened for rough lobes, 63 degrees off the axis."""
 MARGIN = 2
 """Texels around what the rays need: for reading between texels, and so that neighbouring clusters overlap."""
 
@@ -98,12 +100,10 @@ def cluster_cameras(
     usable = (clusters.pixels >= params.smallest) & (smallest(label, ahead.astype(jnp.int32), capacity) > 0)
     low = jnp.minimum(smallest(label, near, capacity), smallest(label, far, capacity))
     high = jnp.maximum(largest(label, near, capacity), largest(label, far, capacity))
-    lobe = jnp.where(clusters.alpha > 0, 2 * jnp.arctan(params.lobe * clusters.alpha), 0)[:, None]
-    limit = jnp.arctan(jnp.asarray(FAR_SLOPE, jnp.float32))
-    low = jnp.tan(jnp.maximum(jnp.arctan(low) - lobe, -limit))
-    high = jnp.tan(jnp.minimum(jnp.arctan(high) + lobe, limit))
+    low, high = _widened(low, high, clusters, params)
+    pixel = _pitch(camera, label, near, z, mirrors, capacity, shape)
+    pitch = jnp.maximum(pixel, params.grain * clusters.alpha) / params.resolution
 
-    pitch = _pitch(camera, label, near, z, mirrors, capacity, shape) / params.resolution
     extent = jnp.where(usable[:, None], high - low, 0)
     wanted = _texels(extent, pitch, usable)
     room = options.room(shape[0] * shape[1])
@@ -166,6 +166,22 @@ def _blank_views(camera: Camera, clusters: Clusters, eye: Array, forward: Array,
         own=jnp.where(clusters.planar, -1, clusters.object),
         unseen=jnp.where(all_of_it, 3, jnp.where(clusters.outside, 2, 1)),
     )
+
+
+def _widened(low: Array, high: Array, clusters: Clusters, params: Params) -> tuple[Array, Array]:
+    """Bounds with room for the lobes of rough surfaces, up to `LOBE_SLOPE`.
+
+    Source: [WXKP14] §3.5 (1).
+    """
+    lobe = 2 * jnp.arctan(params.lobe * clusters.alpha)[:, None]
+    most = jnp.arctan(jnp.asarray(LOBE_SLOPE, jnp.float32))
+
+    def wider(slope: Array) -> Array:
+        angle = jnp.arctan(slope)
+        return jnp.tan(jnp.minimum(angle + lobe, jnp.maximum(angle, most)))
+
+    rough = (clusters.alpha > 0)[:, None]
+    return jnp.where(rough, -wider(-low), low), jnp.where(rough, wider(high), high)
 
 
 def _pitch(

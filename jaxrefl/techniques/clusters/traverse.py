@@ -23,8 +23,10 @@ from jaxrefl.techniques.clusters.types import Found
 
 _BLOCK = 1024
 """Rays that are followed together, until the last of them has ended."""
-_SHORT = 2
-"""Steps up to which a ray is followed with all others at once; those of planar clusters take one."""
+_ROUND = 16
+"""Steps after which the rays that have ended are put aside."""
+_AT_ONCE = 2
+"""First steps, that all rays take together; those of planar clusters need one."""
 _TOUCH = 1e-3
 """How far behind a surface a ray may start, as a share of its 1 / z, and still count as lying on it."""
 
@@ -84,10 +86,8 @@ def project_rays(
 
 
 class _Walk(NamedTuple):
-    """Rays on their way, all at the same step."""
+    """Rays on their way."""
 
-    step: Array
-    """Number of the step whose plane comes in next."""
     plane: Array
     """How far the ray is before the plane of the last step's texel, a + b share of its length, as a + i b."""
     plane_before: Array
@@ -124,21 +124,32 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
     n = active.shape[0]
     length = jnp.ceil(jnp.abs(lines.end - lines.start).max(-1))
     number = jnp.where(active, jnp.clip(length, 1, steps), 0).astype(jnp.int32)
-    short = number <= _SHORT
-    ended = _finish(lines, number, _walk(planes, lines, jnp.where(short, number, 0), _SHORT), short & active)
-    rank = jax.lax.associative_scan(jnp.add, (~short).astype(jnp.int32))
-    order = jnp.full(n + _BLOCK, n, jnp.int32)
-    order = order.at[jnp.where(short, n + _BLOCK, rank - 1)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+    # What all rays do first needs no blocks; those of planar clusters have ended after that.
+    walk = _advance(planes, lines, number, _begin(planes, lines, number), jnp.full((), 2, jnp.int32), _AT_ONCE)
 
-    def block(i: Array, ended: Crossing) -> Crossing:
-        index = jax.lax.dynamic_slice_in_dim(order, i * _BLOCK, _BLOCK)
-        safe = jnp.minimum(index, n - 1)
-        some = jax.tree.map(lambda x: x[safe], lines)
-        many = jnp.where(index < n, number[safe], 0)
-        part = _finish(some, many, _walk(planes, some, many, many.max()), index < n)
-        return jax.tree.map(lambda x, y: x.at[index].set(y, mode="drop"), ended, part)
+    def unfinished(state: tuple[_Walk, Array]) -> Array:
+        return ~state[0].done.all()
 
-    return jax.lax.fori_loop(0, (rank[-1] + _BLOCK - 1) // _BLOCK, block, ended)
+    def one_round(state: tuple[_Walk, Array]) -> tuple[_Walk, Array]:
+        """A few steps for all rays that are still on their way, block by block of those alone."""
+        walk, step = state
+        rank = jax.lax.associative_scan(jnp.add, (~walk.done).astype(jnp.int32))
+        order = jnp.full(n + _BLOCK, n, jnp.int32)
+        place = jnp.where(walk.done, n + _BLOCK, rank - 1)
+        order = order.at[place].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+
+        def block(i: Array, walk: _Walk) -> _Walk:
+            index = jax.lax.dynamic_slice_in_dim(order, i * _BLOCK, _BLOCK)
+            safe = jnp.minimum(index, n - 1)
+            some, part, many = jax.tree.map(lambda x: x[safe], (lines, walk, number))
+            part = part._replace(done=part.done | (index >= n))
+            part = _advance(planes, some, many, part, step, _ROUND)
+            return jax.tree.map(lambda x, y: x.at[index].set(y, mode="drop"), walk, part)
+
+        return jax.lax.fori_loop(0, (rank[-1] + _BLOCK - 1) // _BLOCK, block, walk), step + _ROUND
+
+    start = (walk, jnp.full((), 2 + _AT_ONCE, jnp.int32))
+    return _finish(lines, number, jax.lax.while_loop(unfinished, one_round, start)[0], active)
 
 
 def _place(lines: Lines, share: Array) -> tuple[Array, Array]:
@@ -149,32 +160,46 @@ def _place(lines: Lines, share: Array) -> tuple[Array, Array]:
     return jnp.clip(column, 0, most[:, 0]), jnp.clip(row, 0, most[:, 1])
 
 
-def _walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array, most: Array | int) -> _Walk:
-    """Follow rays for `number` steps each.
+def _begin(planes: tuple[Array, Array, Array], lines: Lines, number: Array) -> _Walk:
+    """Rays at their near ends, for `number` steps each."""
+    zero = jnp.zeros_like(lines.start_z)
+    first, second = (_plane_at(planes, lines, number, jnp.full((), i, jnp.int32)) for i in range(2))
+    touching = jnp.real(first) > -_TOUCH * lines.start_z
+    return _Walk(second, first, touching, ~touching, number <= 0, zero + 1, jnp.full(zero.shape, -1, jnp.int32))
+
+
+def _share_at(number: Array, step: Array) -> Array:
+    return jnp.minimum(step.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
+
+
+def _plane_at(planes: tuple[Array, Array, Array], lines: Lines, number: Array, step: Array) -> Array:
+    """How far each ray is before the plane of its texel at a step: a + b share, as a + i b."""
+    level, slope_x, slope_y = planes
+    column, row = _place(lines, _share_at(number, step))
+    at = lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column
+    z, gx, gy = level[at], slope_x[at], slope_y[at]
+    u = lines.start[:, 0] - column.astype(jnp.float32) - 0.5
+    v = lines.start[:, 1] - row.astype(jnp.float32) - 0.5
+    dx, dy = lines.end[:, 0] - lines.start[:, 0], lines.end[:, 1] - lines.start[:, 1]
+    ahead = lines.start_z - (z + gx * u + gy * v)
+    change = lines.end_z - lines.start_z - (gx * dx + gy * dy)
+    return together(ahead, change)
+
+
+def _advance(
+    planes: tuple[Array, Array, Array], lines: Lines, number: Array, walk: _Walk, step: Array, count: int
+) -> _Walk:
+    """Take `count` steps, of which `step` is the first whose plane has not been read.
 
     A step reads the plane of its texel and does no more; it is tested in the next one. So what is gathered has one
     consumer, and XLA, which computes a fusion anew for each, gathers it once.
     """
-    level, slope_x, slope_y = planes
-    inverse = 1 / jnp.maximum(number, 1).astype(jnp.float32)
+    last = step + count
 
-    def share_at(step: Array) -> Array:
-        return jnp.minimum(step.astype(jnp.float32) * inverse, 1)
-
-    def plane_at(step: Array) -> Array:
-        column, row = _place(lines, share_at(step))
-        at = lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column
-        z, gx, gy = level[at], slope_x[at], slope_y[at]
-        u = lines.start[:, 0] - column.astype(jnp.float32) - 0.5
-        v = lines.start[:, 1] - row.astype(jnp.float32) - 0.5
-        dx, dy = lines.end[:, 0] - lines.start[:, 0], lines.end[:, 1] - lines.start[:, 1]
-        ahead = lines.start_z - (z + gx * u + gy * v)
-        change = lines.end_z - lines.start_z - (gx * dx + gy * dy)
-        return together(ahead, change)
-
-    def body(walk: _Walk) -> _Walk:
-        step = walk.step - 1
-        now_at, was_at = share_at(step), share_at(step - 1)
+    def body(state: tuple[Array, _Walk]) -> tuple[Array, _Walk]:
+        ahead, walk = state
+        step = ahead - 1
+        now_at, was_at = _share_at(number, step), _share_at(number, step - 1)
         a, b = jnp.real(walk.plane), jnp.imag(walk.plane)
         c, d = jnp.real(walk.plane_before), jnp.imag(walk.plane_before)
         now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
@@ -186,9 +211,8 @@ def _walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array, most:
         old_part = jnp.maximum(old_was, 0) / jnp.where(there & (old_was > old_now), old_was - old_now, 1)
         part = jnp.where(here, was / jnp.where(here, was - now, 1), old_part)
         place = was_at + (now_at - was_at) * part
-        return _Walk(
-            step=walk.step + 1,
-            plane=plane_at(walk.step),
+        return ahead + 1, _Walk(
+            plane=_plane_at(planes, lines, number, ahead),
             plane_before=walk.plane,
             front=jnp.where(going, now > 0, walk.front),
             hidden=walk.hidden | (crossed & ~hit),
@@ -197,20 +221,10 @@ def _walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array, most:
             last=jnp.where(hit, step - there.astype(jnp.int32), walk.last),
         )
 
-    zero = jnp.zeros_like(lines.start_z)
-    first = plane_at(jnp.zeros((), jnp.int32))
-    touching = jnp.real(first) > -_TOUCH * lines.start_z
-    start = _Walk(
-        step=jnp.full((), 2, jnp.int32),
-        plane=plane_at(jnp.ones((), jnp.int32)),
-        plane_before=first,
-        front=touching,
-        hidden=~touching,
-        done=number <= 0,
-        share=zero + 1,
-        last=jnp.full(zero.shape, -1, jnp.int32),
-    )
-    return jax.lax.while_loop(lambda walk: (walk.step <= most + 1) & ~walk.done.all(), body, start)
+    def on_the_way(state: tuple[Array, _Walk]) -> Array:
+        return (state[0] < last) & ~state[1].done.all()
+
+    return jax.lax.while_loop(on_the_way, body, (step, walk))[1]
 
 
 def _finish(lines: Lines, number: Array, walk: _Walk, active: Array) -> Crossing:
