@@ -101,7 +101,7 @@ def _draw(corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views
         rows, boxes = _project(groups, views, group, view, at < groups.count)
         area = boxes[:, 2] * boxes[:, 3]
         ends = jax.lax.associative_scan(jnp.add, area)
-        triangle = (group[:, None] * GROUP + jnp.arange(GROUP, dtype=jnp.int32)).reshape(-1)
+        triangle = (group[:, None] * GROUP + jnp.arange(GROUP, dtype=jnp.int32)[None, :]).reshape(-1)
 
         def fragments(state: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
             start, image = state
@@ -127,12 +127,12 @@ def _cull(corners: Array, objects: Array, views: Views) -> _Groups:
 
     offset = [centre[:, None, i] - views.eye[None, :, i] for i in range(3)]
     x, y, z = (sum(offset[i] * views.axes[None, :, a, i] for i in range(3)) for a in range(3))
-    far = views.low + views.pitch * views.size
-    shown = views.size[:, 0] > 0
+    far = views.low + views.pitch * views.size.astype(views.pitch.dtype)
+    shown = (views.size[:, 0] > 0)[None, :]
     for lateral, axis in ((x, 0), (y, 1)):
-        for edge, sign in ((views.low[:, axis], 1.0), (far[:, axis], -1.0)):
+        for edge, sign in ((views.low[None, :, axis], 1.0), (far[None, :, axis], -1.0)):
             shown = shown & (sign * (lateral - edge * z) >= -radius[:, None] * jnp.sqrt(1 + edge * edge))
-    ahead = sum(centre[:, None, i] * views.clip[None, :, i] for i in range(3)) + views.clip[:, 3]
+    ahead = sum(centre[:, None, i] * views.clip[None, :, i] for i in range(3)) + views.clip[None, :, 3]
     shown = shown & (ahead >= -radius[:, None])
 
     # View by view, so that neighbouring pairs write to the same part of the list of texels.
@@ -148,12 +148,12 @@ def _cull(corners: Array, objects: Array, views: Views) -> _Groups:
 
 def _project(
     groups: _Groups, views: Views, group: Array, view: Array, real: Bool[Array, "p"]
-) -> tuple[Float[Array, "t 15"], Int[Array, "t 5"]]:
+) -> tuple[Float[Array, "t 15"], Int[Array, "t 4"]]:
     """Edges, 1 / z and clipping of triangles as linear functions of texels, and their bounding boxes.
 
     Returns:
         Coefficients (x, y, 1), relative to the box's corner, of three edges, 1 / z and the height above the clipping
-        plane over z; and boxes (column, row, width, height), with the view's first texel plus its width above it.
+        plane over z; and boxes: the first texel, texels from row to row, width, height.
     """
     eye, axes = views.eye[view], views.axes[view]
     low, pitch, size = views.low[view], views.pitch[view], views.size[view]
@@ -170,7 +170,7 @@ def _project(
     first, last = _bounds((x, y), z, size)
     width, height = (jnp.where(drawn, jnp.maximum(b - a + 1, 0), 0) for a, b in zip(first, last, strict=True))
 
-    x, y = (a - origin[..., None] * z for a, origin in zip((x, y), first, strict=True))
+    x, y = (a - origin[..., None].astype(z.dtype) * z for a, origin in zip((x, y), first, strict=True))
     volume = _triple(x, y, z)
     sign, inverse = jnp.sign(volume), 1 / jnp.where(volume == 0, 1, volume)
     edges = []
@@ -181,7 +181,7 @@ def _project(
     depth = [sum(e[i] for e in plain) * inverse for i in range(3)]
     n = [sum(plane[:, i] * axes[:, a, i] for i in range(3)) for a in range(3)]
     level = sum(plane[:, i] * eye[:, i] for i in range(3)) + plane[:, 3]
-    slope = [low[:, None, i] + pitch[:, None, i] * first[i] for i in range(2)]
+    slope = [low[:, None, i] + pitch[:, None, i] * first[i].astype(low.dtype) for i in range(2)]
     clip = (
         n[0][:, None] * pitch[:, None, 0] + level[:, None] * depth[0],
         n[1][:, None] * pitch[:, None, 1] + level[:, None] * depth[1],

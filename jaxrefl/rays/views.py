@@ -151,6 +151,6 @@ def seen_by(views: Views, view: Int[Array, "n"], p: Float[Array, "n 3"]) -> Bool
         True inside the frame and ahead of the eye.
     """
     lateral, z = in_view(views, view, p)
-    high = views.low[view] + views.pitch[view] * views.size[view]
+    high = views.low[view] + views.pitch[view] * views.size[view].astype(jnp.float32)
     inside = (lateral >= views.low[view] * z[:, None]) & (lateral <= high * z[:, None])
     return (z > 0) & inside.all(-1)

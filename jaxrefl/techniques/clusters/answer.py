@@ -23,7 +23,6 @@ from jaxrefl.techniques.clusters.look_up import Seen, look_beside, look_up
 from jaxrefl.techniques.clusters.traverse import follow, project_rays
 from jaxrefl.techniques.clusters.types import Found, Options, Params
 
-
 MIRROR = 0
 """Number of samples of pixels whose lobe is one direction."""
 

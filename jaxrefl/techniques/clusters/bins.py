@@ -35,7 +35,7 @@ def fineness(
         reflector as soon as there are several. With gamma = 1/8 one sphere that fills the image still has all bins, the
         paper's limit, and 20 reflectors that cover half of it come to about as many clusters as the paper counts.
     """
-    return jnp.maximum(jnp.clip(share / jnp.maximum(visible, 1), 0, 1) ** exponent, least)
+    return jnp.maximum(jnp.clip(share / jnp.maximum(visible, 1).astype(share.dtype), 0, 1) ** exponent, least)
 
 
 def spherical_bin(n: Float[Array, "*b 3"], fine: Float[Array, "*b"]) -> Int[Array, "*b"]:
@@ -52,8 +52,8 @@ def spherical_bin(n: Float[Array, "*b 3"], fine: Float[Array, "*b"]) -> Int[Arra
     azimuth = jnp.arctan2(n[..., 2], n[..., 0]) / (2 * jnp.pi)
     polar = jnp.arccos(jnp.clip(n[..., 1], -1, 1)) / jnp.pi
     around, down = _count(AZIMUTHS, fine), _count(POLARS, fine)
-    column = jnp.clip(((azimuth - jnp.floor(azimuth)) * around).astype(jnp.int32), 0, around - 1)
-    row = jnp.clip((polar * down).astype(jnp.int32), 0, down - 1)
+    column = jnp.clip(((azimuth - jnp.floor(azimuth)) * around.astype(azimuth.dtype)).astype(jnp.int32), 0, around - 1)
+    row = jnp.clip((polar * down.astype(polar.dtype)).astype(jnp.int32), 0, down - 1)
     return row * AZIMUTHS + column
 
 
@@ -76,7 +76,7 @@ def octahedral_bin(n: Float[Array, "*b 3"], fine: Float[Array, "*b"]) -> Int[Arr
     u, v = jnp.where(n[..., 2] < 0, 1 - v, u), jnp.where(n[..., 2] < 0, 1 - u, v)
     u, v = (jnp.where(n[..., i] < 0, -a, a) * 0.5 + 0.5 for i, a in enumerate((u, v)))
     side = _count(SIDE, fine)
-    column, row = (jnp.clip((a * side).astype(jnp.int32), 0, side - 1) for a in (u, v))
+    column, row = (jnp.clip((a * side.astype(a.dtype)).astype(jnp.int32), 0, side - 1) for a in (u, v))
     return row * SIDE + column
 
 

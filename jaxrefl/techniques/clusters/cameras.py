@@ -97,7 +97,7 @@ def cluster_cameras(
     far, z_far = in_view(views, label, mirrors.p + mirrors.wi * reach[label][:, None])
     ahead = z_far * FAR_SLOPE > jnp.abs(far).max(-1)
     far = far / jnp.where(ahead, z_far, 1)[:, None]
-    usable = (clusters.pixels >= params.smallest) & (smallest(label, ahead.astype(jnp.int32), capacity) > 0)
+    usable = (clusters.pixels.astype(jnp.float32) >= params.smallest) & (smallest(label, ahead.astype(jnp.int32), capacity) > 0)
     low = jnp.minimum(smallest(label, near, capacity), smallest(label, far, capacity))
     high = jnp.maximum(largest(label, near, capacity), largest(label, far, capacity))
     low, high = _widened(low, high, clusters, params)
@@ -117,13 +117,13 @@ def cluster_cameras(
     middle = (low + high) / 2
     views = dataclasses.replace(
         views,
-        low=middle - 0.5 * texels * pitch[:, None],
+        low=middle - 0.5 * texels.astype(pitch.dtype) * pitch[:, None],
         pitch=jnp.stack([pitch, pitch], -1),
         size=texels,
         offset=jnp.cumsum(count) - count,
         clip=_clip(clusters, views, smallest(label, z, capacity), options),
     )
-    return ClusterCameras(views, usable & fits, reach, count.sum() / jnp.maximum(wanted, 1))
+    return ClusterCameras(views, usable & fits, reach, count.sum().astype(jnp.float32) / jnp.maximum(wanted, 1))
 
 
 def _place_eye(

@@ -43,6 +43,8 @@ class Mirrors(eqx.Module):
     """True where the viewer is on the side that the reflector's triangle faces."""
     alpha: Float[Array, "n"]
     """GGX width of the reflector."""
+    flat: Bool[Array, "n"]
+    """True where the normal is that of the triangle."""
 
 
 class Clusters(eqx.Module):
@@ -90,18 +92,19 @@ def mirrors_of(gbuffer: GBuffer) -> Mirrors:
     """
     wi = mirror_direction(gbuffer)
     normal = normalise(gbuffer.wo + wi)
-    mirrors = Mirrors(
-        valid=reflective(gbuffer),
-        p=gbuffer.p,
-        wi=wi,
-        normal=normal,
-        t=gbuffer.t,
-        object=jnp.maximum(gbuffer.object, 0),
-        p_error=gbuffer.p_error,
-        outside=gbuffer.outside,
-        alpha=gbuffer.alpha,
-    )
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), mirrors)
+    fields = {
+        "valid": reflective(gbuffer),
+        "p": gbuffer.p,
+        "wi": wi,
+        "normal": normal,
+        "t": gbuffer.t,
+        "object": jnp.maximum(gbuffer.object, 0),
+        "p_error": gbuffer.p_error,
+        "outside": gbuffer.outside,
+        "alpha": gbuffer.alpha,
+        "flat": dot(normal, gbuffer.n) > 1 - FLAT,
+    }
+    return Mirrors(**{name: x.reshape(-1, *x.shape[2:]) for name, x in fields.items()})
 
 
 @functools.partial(jax.jit, static_argnames="capacity")
@@ -131,13 +134,13 @@ def describe(mirrors: Mirrors, label: Int[Array, "n"], *, capacity: int) -> Clus
     flat = (largest(label, dot(turned, turned), capacity) < FLAT) & (
         largest(label, height, capacity) <= LEVEL * largest(label, mirrors.t, capacity)
     )
-    used = pixels > 0
+    used, up = pixels > 0, jnp.broadcast_to(jnp.array([0, 0, 1], jnp.float32), normal.shape)
     return Clusters(
         label=label,
         pixels=pixels,
         centre=jnp.where(used[:, None], mirrors.p[first] + mean, 0),
-        normal=jnp.where(used[:, None], normal, jnp.array([0, 0, 1], jnp.float32)),
-        forward=jnp.where(used[:, None], forward, jnp.array([0, 0, 1], jnp.float32)),
+        normal=jnp.where(used[:, None], normal, up),
+        forward=jnp.where(used[:, None], forward, up),
         bend=bend,
         planar=used & flat,
         object=jnp.where(used, mirrors.object[first], -1),
@@ -150,5 +153,5 @@ def describe(mirrors: Mirrors, label: Int[Array, "n"], *, capacity: int) -> Clus
 
 def _mean_direction(v: Array, label: Array, first: Array, pixels: Array) -> Float[Array, "c 3"]:
     total = sums(label, v, pixels.shape[0])
-    weak = dot(total, total) < (0.05 * pixels) ** 2
+    weak = dot(total, total) < (0.05 * pixels.astype(total.dtype)) ** 2
     return normalise(jnp.where(weak[:, None], v[first], total))

@@ -194,7 +194,7 @@ def disparity(
     right, down = frame_from_normal(normal)
 
     def slope(p: Array) -> Array:
-        offset = p - eye
+        offset = p - jnp.broadcast_to(eye, p.shape)
         z = jnp.maximum(offset @ normal, 1e-3 * f * jnp.abs((start - centre) @ normal))
         return jnp.stack([offset @ right / z, offset @ down / z], -1)
 

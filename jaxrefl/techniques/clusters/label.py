@@ -20,6 +20,8 @@ from jaxrefl.techniques.clusters.segments import first_pixel, largest, smallest,
 from jaxrefl.techniques.clusters.split import split_labels
 from jaxrefl.techniques.clusters.types import Options, Params
 
+_SMALL = 4096
+"""A plane that fills less than this fraction of the image is not told from the rest of its reflector."""
 _PLANES = 16
 """Most groups of parallel planes that a bin is split into."""
 
@@ -48,7 +50,7 @@ def label_pixels(
 
 @functools.partial(jax.jit, static_argnames=("objects", "capacity"))
 def by_reflector(mirrors: Mirrors, *, objects: int, capacity: int) -> tuple[Int[Array, "n"], Int[Array, ""]]:
-    """One cluster per reflector.
+    """One cluster for the curved part of each reflector, and one for each of its planes.
 
     Args:
         mirrors: Mirror rays.
@@ -56,9 +58,16 @@ def by_reflector(mirrors: Mirrors, *, objects: int, capacity: int) -> tuple[Int[
         capacity: Most clusters.
     Returns:
         Labels, and how many there would be without a limit.
+    Edge cases: flat pixels that are few, or fewer than others with about their normal, count as curved: so do the
+        middles of a sphere's triangles.
     """
-    label, count = _compact(mirrors.object, mirrors.valid, objects)
-    return jnp.minimum(label, capacity - 1), count
+    whole, keys = mirrors.object * (MOST + 1) + MOST, objects * (MOST + 1)
+    plane = mirrors.object * (MOST + 1) + octahedral_bin(mirrors.normal, jnp.ones_like(mirrors.t))
+    flat = mirrors.valid & mirrors.flat
+    pixels, all_of_them = (jax.ops.segment_sum(m.astype(jnp.int32), plane, keys) for m in (flat, mirrors.valid))
+    many = (pixels * _SMALL > mirrors.t.shape[0]) & (2 * pixels > all_of_them)
+    label, count = _compact(jnp.where(flat & many[plane], plane, whole), mirrors.valid, keys)
+    return _by_plane(mirrors, jnp.minimum(label, capacity - 1), count, capacity)
 
 
 @functools.partial(jax.jit, static_argnames=("objects", "bins", "capacity"))
@@ -101,7 +110,9 @@ def _by_plane(
     height = dot(own, mirrors.p - mirrors.p[first_pixel(label, capacity)][label])
     low, high = smallest(label, height, capacity), largest(label, height, capacity)
     split = flat & (high - low > LEVEL * largest(label, mirrors.t, capacity))
-    level = (height - low[label]) / jnp.where(split, high - low, 1)[label] * _PLANES
-    level = jnp.where(split[label], jnp.clip(level.astype(jnp.int32), 0, _PLANES - 1), 0)
+    share = (height - low[label]) / jnp.where(split, high - low, 1)[label]
+    # Limits at odd places: evenly spaced planes, the first and last of which are at 0 and 1, do not fall on them.
+    level = (share * (_PLANES - 0.73) + 0.39).astype(jnp.int32)
+    level = jnp.where(split[label], jnp.clip(level, 0, _PLANES - 1), 0)
     label, more = _compact(label * _PLANES + level, label >= 0, capacity * _PLANES)
     return jnp.minimum(label, capacity - 1), jnp.maximum(count, more)

@@ -75,7 +75,7 @@ def _features(mirrors: Mirrors, label: Array, capacity: int) -> Float[Array, "n 
     """Normal, and position from the reflector's centre in units of its root mean square radius."""
     clusters = describe(mirrors, label, capacity=capacity)
     offset = mirrors.p - clusters.centre[label]
-    square = sums(label, dot(offset, offset), capacity) / jnp.maximum(clusters.pixels, 1)
+    square = sums(label, dot(offset, offset), capacity) / jnp.maximum(clusters.pixels, 1).astype(offset.dtype)
     scale = divide(jnp.ones_like(square), jnp.sqrt(square))
     return jnp.concatenate([mirrors.normal, offset * scale[label][:, None]], -1)
 
@@ -90,9 +90,10 @@ def _cost(mirrors: Mirrors, clusters: Clusters, eye: Array, params: Params) -> F
     square = divide(dot(missed, missed), dot(from_eye, from_eye))
     total = sums(label, jnp.where(along > 0, square, 1.0), capacity)
     narrow = -largest(label, -dot(mirrors.wi, clusters.forward[label]), capacity)
-    poor = (total > clusters.pixels * params.disparity**2) | (narrow < WIDEST)
-    total = jnp.where(narrow < WIDEST, clusters.pixels.astype(total.dtype), total)
-    return jnp.where(poor & ~clusters.planar & (STRIDE * clusters.pixels >= 2 * params.smallest), total, 0)
+    pixels = clusters.pixels.astype(total.dtype)
+    poor = (total > pixels * params.disparity**2) | (narrow < WIDEST)
+    total = jnp.where(narrow < WIDEST, pixels, total)
+    return jnp.where(poor & ~clusters.planar & (STRIDE * pixels >= 2 * params.smallest), total, 0)
 
 
 def _halves(feature: Array, clusters: Clusters, capacity: int) -> tuple[Float[Array, "c 6"], Float[Array, "c"]]:

@@ -39,7 +39,7 @@ class Params(eqx.Module):
         0.45, 0.0, 1.0, "Coarsest bins of any reflector, as a share of the most along each side."
     )
     disparity: Float[Array, ""] = tunable(
-        0.05, 0.0, 1.0, "Angle by which rays may miss their cluster's eye, root mean square (split; radians)."
+        0.1, 0.0, 1.0, "Angle by which rays may miss their cluster's eye, root mean square (split; radians)."
     )
     resolution: Float[Array, ""] = tunable(1.0, 0.125, 8.0, "Texels of a depth image per pixel, along each side.")
     smallest: Float[Array, ""] = tunable(4.0, 1.0, 4096.0, "Pixels below which a cluster has no depth image.")
