@@ -22,6 +22,7 @@ from jaxrefl.core import resize
 from jaxrefl.rays import EmbreeTracer, camera_rays
 from jaxrefl.scene import assemble
 from jaxrefl.surface import look
+from pipelines.bench_clusters import bench_clusters
 from pipelines.bench_energy import bench_energy
 from pipelines.bench_gloss import edge_profiles, evaluations, in_scenes, peers, plot_errors, plot_scenes
 from pipelines.bench_lightmap import bench_lightmap
@@ -217,10 +218,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--lightmap", nargs="+", metavar="SCENE", help="instead: errors of light maps in these scenes")
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
     parser.add_argument("--gloss", nargs="+", metavar="SCENE", help="instead: the gloss filter, and errors in scenes")
-    parser.add_argument("--part", choices=("errors", "times", "knobs", "growth", "all"), default="all",
-                        help="which of its tables to make (--temporal)")  # fmt: skip
-    parser.add_argument("--side", type=int, default=1024, help="width and height of the images (--temporal)")
-    parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal)")
+    parser.add_argument("--clusters", nargs="+", metavar="SCENE", help="instead: clusters of mirror rays")
+    parser.add_argument("--part", choices=("errors", "times", "knobs", "growth", "rough", "all"), default="all",
+                        help="which of its tables to make (--temporal, --clusters)")  # fmt: skip
+    parser.add_argument("--side", type=int, default=1024, help="width and height of images (--temporal, --clusters)")
+    parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal, --clusters)")
     parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")
     arguments = parser.parse_args(argv)
     for name, run in _OTHERS.items():
@@ -368,6 +370,7 @@ def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
 
 
 _OTHERS = {
+    "clusters": bench_clusters,
     "gloss": _gloss,
     "main_job": _main_job,
     "path": _path,

@@ -24,8 +24,8 @@ NEAR_SLOPE = 3.0
 """Largest slope at which the near end of a ray may be seen; eyes too close to their cluster are moved back."""
 FAR_SLOPE = 10.0
 """Largest slope at which a far end may be seen, 84 degrees off the axis; clusters with rays beyond have no camera."""
-LOBE_SLOPE = 2.0
-"""Slope up to which a view is widened for rough lobes, 63 degrees off the axis."""
+LOBE_SLOPE = 3.0
+"""Slope up to which a view is widened for rough lobes, 72 degrees off the axis."""
 MARGIN = 2
 """Texels around what the rays need: for reading between texels, and so that neighbouring clusters overlap."""
 
@@ -97,7 +97,9 @@ def cluster_cameras(
     far, z_far = in_view(views, label, mirrors.p + mirrors.wi * reach[label][:, None])
     ahead = z_far * FAR_SLOPE > jnp.abs(far).max(-1)
     far = far / jnp.where(ahead, z_far, 1)[:, None]
-    usable = (clusters.pixels.astype(jnp.float32) >= params.smallest) & (smallest(label, ahead.astype(jnp.int32), capacity) > 0)
+    usable = (clusters.pixels.astype(jnp.float32) >= params.smallest) & (
+        smallest(label, ahead.astype(jnp.int32), capacity) > 0
+    )
     low = jnp.minimum(smallest(label, near, capacity), smallest(label, far, capacity))
     high = jnp.maximum(largest(label, near, capacity), largest(label, far, capacity))
     low, high = _widened(low, high, clusters, params)

@@ -59,6 +59,8 @@ class Lines(eqx.Module):
     """Texels of the view (width, height)."""
     offset: Int[Array, "n"]
     """First texel of the view."""
+    within: Float[Array, "n"]
+    """Share of the line, from its start on, that lies in the image."""
 
 
 @jax.jit
@@ -82,7 +84,12 @@ def project_rays(
     inverse = [1 / jnp.where(ahead, z, 1) for z in (near_z, far_z)]
     low, pitch = views.low[view], views.pitch[view]
     ends = [(x * i[:, None] - low) / pitch for x, i in zip((near, far), inverse, strict=True)]
-    return Lines(ends[0], ends[1], inverse[0], inverse[1], views.size[view], views.offset[view]), ahead
+    size = views.size[view]
+    limit = jnp.where(ends[1] > ends[0], size.astype(jnp.float32), 0)
+    leaves = (ends[1] < 0) | (ends[1] > size.astype(jnp.float32))
+    share = jnp.where(leaves, (limit - ends[0]) / jnp.where(leaves, ends[1] - ends[0], 1), 1)
+    within = jnp.clip(share.min(-1), 0, 1)
+    return Lines(ends[0], ends[1], inverse[0], inverse[1], size, views.offset[view], within), ahead
 
 
 class _Walk(NamedTuple):
@@ -216,7 +223,7 @@ def _advance(
             plane_before=walk.plane,
             front=jnp.where(going, now > 0, walk.front),
             hidden=walk.hidden | (crossed & ~hit),
-            done=walk.done | hit | (step >= number),
+            done=walk.done | hit | (_share_at(number, step) >= lines.within),
             share=jnp.where(hit, place, walk.share),
             last=jnp.where(hit, step - there.astype(jnp.int32), walk.last),
         )
@@ -230,7 +237,8 @@ def _advance(
 def _finish(lines: Lines, number: Array, walk: _Walk, active: Array) -> Crossing:
     hit = active & (walk.last >= 0)
     seen = jnp.where(hit, int(Found.SURFACE), jnp.where(walk.front, int(Found.SKY), int(Found.HIDDEN)))
-    passed = walk.hidden & (hit | walk.front)
+    seen = jnp.where(~hit & walk.front & (lines.within < 1), int(Found.OUTSIDE), seen)
+    passed = walk.hidden & (hit | (walk.front & (lines.within >= 1)))
     found = jnp.where(active, jnp.where(passed, int(Found.PASSED), seen), int(Found.NO_CAMERA))
     at = jnp.minimum(walk.last.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
     column, row = _place(lines, at)

@@ -25,6 +25,8 @@ class Found(enum.IntEnum):
     """On a surface, or out of the scene, after it had passed behind something: what is there is a guess."""
     HIDDEN = 4
     """It was last seen going behind something: disoccluded."""
+    OUTSIDE = 6
+    """A ray of a rough surface that left the depth image by its border."""
     NO_CAMERA = 5
     """Its cluster has no camera: too few pixels, or too wide for a pinhole."""
 
@@ -44,7 +46,7 @@ class Params(eqx.Module):
     resolution: Float[Array, ""] = tunable(1.0, 0.125, 8.0, "Texels of a depth image per pixel, along each side.")
     smallest: Float[Array, ""] = tunable(4.0, 1.0, 4096.0, "Pixels below which a cluster has no depth image.")
     lobe: Float[Array, ""] = tunable(
-        1.5, 0.0, 10.0, "Widening of the view for rough surfaces: tangent of the half vector's angle, in alphas."
+        4.0, 0.0, 10.0, "Widening of the view for rough surfaces: tangent of the half vector's angle, in alphas."
     )
     grain: Float[Array, ""] = tunable(
         0.1, 0.0, 2.0, "Smallest texel for rough surfaces, as a slope, in alphas: lobes blur what is finer."
