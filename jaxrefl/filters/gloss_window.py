@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl.filters.gloss_layers import TILE, Layer, Limits, Values, agree
+from jaxrefl.filters.gloss_atlas import TILE
+from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree
 
 SHARP = 1e-3
 """Variance in pixels squared that is added to all: below it a Gaussian is one pixel."""
@@ -36,11 +37,20 @@ def precision(
     return yy * half, -xy * half, xx * half
 
 
-def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius: int, spread: bool) -> Values:
+def window(
+    atlas: Layer,
+    covariance: Float[Array, "3 ah aw"],
+    active: Bool[Array, "ty tx"],
+    limits: Limits,
+    *,
+    radius: int,
+    spread: bool,
+) -> Values:
     """Weighted means over windows.
 
     Args:
-        atlas: What to filter, in whole tiles.
+        atlas: What to filter, in whole tiles with a margin of `radius`.
+        covariance: Of the Gaussians; without the margin.
         active: Which tiles to filter; the others come back 0.
         limits: Thresholds.
         radius: Half the width of the window, pixels.
@@ -51,9 +61,8 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
     rows, columns = TILE
     wide = columns + 2 * radius
     size, span = rows * wide, 2 * radius + 1
-    edge = (radius, radius)
-    padded = Layer(jnp.pad(atlas.id, radius, constant_values=-1), jnp.pad(atlas.data[:11], ((0, 0), edge, edge)))
-    own_only = jnp.concatenate([jnp.stack(precision(atlas.covariance)), atlas.mean])
+    mean = atlas.mean[:, radius : -radius or None, radius : -radius or None]
+    own_only = jnp.concatenate([jnp.stack(precision(covariance)), mean])
 
     def tile(y: Array, x: Array) -> Float[Array, "p r c"]:
         def local(plane: Array) -> Array:
@@ -65,7 +74,7 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
             return jnp.pad(part, ((0, 0), (0, 2 * radius))).reshape(-1)
 
         # Flat arrays, one per plane: the loop over taps runs four times as fast as on images.
-        ids, around = local(padded.id), tuple(local(p) for p in padded.data)
+        ids, around = local(atlas.id), tuple(local(p) for p in atlas.data[:11])
         a, b, c, mx, my = (inner(p) for p in own_only)
 
         def shifted(tap: Array) -> Layer:
