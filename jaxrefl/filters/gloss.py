@@ -127,7 +127,7 @@ def gloss(
     inverse = jnp.where(surface, 1 / jnp.where(guides.depth > 0, guides.depth, 1), 0)
     colour = jnp.where((confidence > 0)[..., None], radiance, 0)
     trust = jnp.where(surface, confidence, 0)
-    parts = [*_planes(guides.normal), inverse, *_planes(guides.slope), *_planes(colour), tau, trust]
+    parts = [*_planes(guides.normal), inverse, *_planes(guides.slope), *_planes(colour), (1 - tau) * inverse, trust]
     size = (-(-h // 8) * 8, -(-w // 8) * 8)
 
     def one(gaussian: Float[Array, "5 h w"]) -> Values:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from jaxrefl.filters.gloss_layers import DATA, Layer, Limits, Others, Values, agree
+from jaxrefl.filters.gloss_layers import DATA, Layer, Limits, Others, Values, agree, normalised
 
 TILE = (32, 128)
 """Rows and columns of what is filtered at a time; fits the cache of a CPU."""
@@ -148,9 +148,7 @@ def enlarge(fine: Layer, coarse: Layer, values: Others, limits: Limits) -> Value
 
         zero = [jnp.zeros(h * wide, jnp.float32) for _ in range(4)]
         sums, _ = jax.lax.scan(add, zero, jnp.arange(4, dtype=jnp.int32))
-        known = sums[3] > 0
-        inverse = jnp.where(known, 1 / jnp.where(known, sums[3], 1), 0)
-        return jnp.stack([*(s * inverse for s in sums[:3]), sums[3]])
+        return normalised(sums[:3], sums[3])
 
     numbers = jnp.arange(4, dtype=jnp.int32)
     found = jax.lax.map(phase, (numbers, by_phase(fine.id[None]), by_phase(fine.data[:6])))

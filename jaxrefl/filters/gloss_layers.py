@@ -5,6 +5,7 @@ one that most of them agree with is the surface of the coarse pixel, and those t
 across edges.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,8 @@ from jaxrefl.core import apart
 
 DATA = 16
 """Planes of a layer besides its ids."""
+LEAST = 1e-18
+"""Weight below which nothing was found: its inverse and the square of that are still finite."""
 _COLOUR = slice(6, 9)
 
 
@@ -47,8 +50,8 @@ class Layer(NamedTuple):
         return self.data[_COLOUR]
 
     @property
-    def tau(self) -> Any:
-        """Relative distance of what is reflected."""
+    def image(self) -> Any:
+        """Inverse depth of the mirror image."""
         return self.data[9]
 
     @property
@@ -98,6 +101,20 @@ def agree(a: Layer, b: Layer, dx: Array | float, dy: Array | float, limits: Limi
     expected = a.inverse + a.slope[0] * dx + a.slope[1] * dy
     near = jnp.abs(b.inverse - expected) <= limits.depth * a.inverse
     return (a.id == b.id) & (a.id >= 0) & (cosine > limits.normal) & near
+
+
+def normalised(sums: Sequence[Float[Array, "n"]], weight: Float[Array, "n"]) -> Float[Array, "4 n"]:
+    """Sums over their weight, and the weight.
+
+    Args:
+        sums: One per channel.
+        weight: Sum of the weights.
+    Returns:
+        Means and the weight; 0 where nothing was found.
+    """
+    known = weight > LEAST
+    inverse = jnp.where(known, 1 / jnp.where(known, weight, 1), 0)
+    return jnp.stack([*(s * inverse for s in sums), jnp.where(known, weight, 0)])
 
 
 class Merge(NamedTuple):
@@ -151,7 +168,7 @@ def _merged(fine: Layer, merge: Merge) -> Layer:
     at = row * (2 * w) + column
     chosen = Layer(fine.id.reshape(-1)[at], fine.data.reshape(DATA, -1)[:, at])
     dx, dy = (merge.corner % 2).astype(jnp.float32) - 0.5, (merge.corner // 2).astype(jnp.float32) - 0.5
-    known = fine.data[6:10]  # colour and tau
+    known = fine.data[6:10]  # colour and the mirror image
     average = sum(share[None] * _corner(known, at) for share, at in zip(merge.shares, _CORNERS, strict=True))
     average = jnp.where((merge.trust > 0)[None], average, chosen.data[6:10])
     inverse = chosen.inverse - chosen.slope[0] * dx - chosen.slope[1] * dy

@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrefl.filters.covariance import principal_axes
 from jaxrefl.filters.gloss_atlas import TILE
-from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree
-from jaxrefl.filters.gloss_window import SHARP, normalised, over_tiles, spread_ratio
+from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree, normalised
+from jaxrefl.filters.gloss_window import SHARP, over_tiles, spread_ratio
 
 TAPS = ("nearest", "linear")
 REACH = 2.5
@@ -77,7 +77,7 @@ def _pass(
     rows, columns = TILE
     height, width = atlas.id.shape
     # One flat array per plane; the values are those of the pass before.
-    planes = (*atlas.data[:6], *state[:3], atlas.tau, state[3])
+    planes = (*atlas.data[:6], *state[:3], atlas.image, state[3])
     flat = Layer(atlas.id.reshape(-1), tuple(p.reshape(-1) for p in planes))
 
     def tile(top: Array, left: Array) -> Float[Array, "p r c"]:
@@ -108,7 +108,7 @@ def _pass(
             for dx, dy, amount in ends:
                 there, inside = _read(flat, x + dx.astype(jnp.int32), y + dy.astype(jnp.int32), height, width)
                 distance = dx * cos + dy * sin if taps == "nearest" else step * unit
-                ratio = spread_ratio(own.tau, there.tau) if spread else jnp.ones_like(cos)
+                ratio = spread_ratio(own, there.image) if spread else jnp.ones_like(cos)
                 good = inside & agree(own, there, dx, dy, limits)
                 exponent = -half * (distance * ratio - shift) ** 2
                 weight = jnp.exp(jnp.where(good, exponent, -1e4)) * amount * ratio

@@ -3,14 +3,14 @@
 Source: [RLPWSD20] §6.2, Eq. 4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxrefl.filters.gloss_atlas import TILE
-from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree
+from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree, normalised
 
 SHARP = 1e-3
 """Variance in pixels squared that is added to all: below it a Gaussian is one pixel."""
@@ -91,7 +91,7 @@ def window(
             ux, uy = dx - mx, dy - my
             ratio = jnp.ones_like(a)
             if spread:
-                ratio = spread_ratio(own.tau, there.tau)
+                ratio = spread_ratio(own, there.image)
                 ux, uy = dx * ratio - mx, dy * ratio - my
             exponent = -(a * ux * ux + 2 * b * ux * uy + c * uy * uy)
             # The exponential comes last: XLA then computes the weight once for all four sums.
@@ -105,31 +105,23 @@ def window(
     return over_tiles(tile, active)
 
 
-def normalised(sums: Sequence[Float[Array, "n"]], weight: Float[Array, "n"]) -> Float[Array, "4 n"]:
-    """Sums over their weight, and the weight.
+def spread_ratio(own: Layer, image: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    r"""How much narrower the Gaussian of what a neighbour shows is than the pixel's own.
+
+    $$ \frac{\tau}{\tau_i},\qquad \tau_i = 1 - \frac{z}{Z_i} $$
+
+    with the depths z of the pixel's reflector and $Z_i$ of the neighbour's mirror image: the lobe's rays start at the
+    pixel's own point, also where the reflector is slanted and the neighbour's point is nearer or farther.
 
     Args:
-        sums: One per channel.
-        weight: Sum of the weights.
+        own: The pixels.
+        image: Inverse depth of what their neighbours show.
     Returns:
-        Means, 0 where nothing was found, and the weight.
+        The ratio, within `_RATIO`.
     """
-    known = weight > 0
-    inverse = jnp.where(known, 1 / jnp.where(known, weight, 1), 0)
-    return jnp.stack([*(s * inverse for s in sums), weight])
-
-
-def spread_ratio(own: Float[Array, "*b"], other: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """How much narrower the Gaussian of a neighbour is than the pixel's own.
-
-    Args:
-        own: tau of the pixel.
-        other: tau of the neighbour.
-    Returns:
-        own / other, within `_RATIO`.
-    """
-    least = 1e-4
-    return jnp.clip((own + least) / (other + least), 1 / _RATIO, _RATIO)
+    least, depth = 1e-4, 1 / jnp.where(own.inverse > 0, own.inverse, 1)
+    tau, other = (jnp.maximum(1 - depth * at, 0) + least for at in (own.image, image))
+    return jnp.clip(tau / other, 1 / _RATIO, _RATIO)
 
 
 def over_tiles(tile: Callable[[Array, Array], Float[Array, "4 r c"]], active: Bool[Array, "ty tx"]) -> Values:
