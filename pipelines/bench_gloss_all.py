@@ -1,18 +1,20 @@
 """`jaxrefl bench --gloss`: all tables and pictures of the gloss filter, kept as they grow."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pipelines.bench_gloss import edge_profiles, evaluations, peers
 from pipelines.bench_gloss_pictures import plot_alphas, plot_errors, plot_sweep
-from pipelines.bench_gloss_scenes import SWEEP, VARIANTS, by_alpha, compared, split
+from pipelines.bench_gloss_scenes import MAIN, SWEEP, VARIANTS, by_alpha, compared, split
 from pipelines.bench_tables import write
 
+Add = Callable[[str, list[dict[str, Any]]], None]
 ALPHAS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 
 
 def run_gloss(names: list[str], out: Path, argv: list[str], *, quick: bool) -> None:
-    """Measure everything: flat pictures first, then the sweep in the first scene, then all scenes.
+    """Measure everything: flat pictures first, then all scenes, then the knobs in the first scene.
 
     Args:
         names: Scenes; built-in ones at 960 x 540, files at half of that, for their truth takes long.
@@ -34,34 +36,40 @@ def run_gloss(names: list[str], out: Path, argv: list[str], *, quick: bool) -> N
         evaluations(side // 2, 8 if quick else 32))  # fmt: skip
     add(f"Milliseconds per Mpixel, {side} x {side} pixels, one thread each",
         peers(side, (8,) if quick else (4, 8, 16, 32)))  # fmt: skip
-    _scenes(names, add, quick=quick)
-    plot_alphas(sections[LAYERS], out / "gloss.png")
-    plot_sweep(sections[KNOBS], out / "gloss_sweep.png")
     for name in names:
-        plot_errors(name, out / f"gloss_errors_{Path(_short(name)).parts[0]}.png", alpha=None,
-                    size=(48, 27) if quick else (480, 270), samples=8 if quick else 64)  # fmt: skip
+        _scene(name, add, quick=quick)
+        plot_alphas(sections[LAYERS], out / "gloss.png")
+        picture = out / f"gloss_errors_{Path(_short(name)).parts[0]}.png"
+        plot_errors(name, picture, alpha=None, size=SMALL if quick else HALF, samples=8 if quick else 64)
+    _knobs(names[0], add, quick=quick)
+    plot_sweep(sections[KNOBS], out / "gloss_sweep.png")
 
 
 LAYERS = "Glossy layer, by alpha of all reflectors; the truth's noise is taken off"
 KNOBS = "Radius, passes and resolution, alpha 0.1"
-PARTS = "What each part is worth"
+PARTS = "What each part is worth, alpha 0.1"
 LIMIT = "What the filter adds and what the mirror image does not show, 240 x 135 pixels"
 
 
-def _scenes(names: list[str], add: Any, *, quick: bool) -> None:
-    small, samples = ((48, 27), 8) if quick else ((240, 135), 128)
-    first, sizes = names[0], ((48, 27),) if quick else ((240, 135), (480, 270), (960, 540))
-    for size in sizes:
-        add(KNOBS, compared(first, 0.1, SWEEP, size=size, samples=samples))
-    for name in names:
-        for alpha in (None,) if quick else (0.05, 0.1, 0.2, 0.5, None):
-            add(LIMIT, split(name, alpha, size=small, samples=samples, radius=8 if quick else 64))
-        add(PARTS, compared(name, None, VARIANTS, size=small, samples=samples))
-    for name in names:
-        large = sizes[-1] if "/" not in name or quick else (480, 270)
-        for rows in by_alpha(name, (None,) if quick else (None, *ALPHAS), size=large,
-                             samples=samples if quick else 96, counts=(1, 4) if quick else (1, 4, 16)):  # fmt: skip
-            add(LAYERS, rows)
+SMALL, HALF, WHOLE = (48, 27), (480, 270), (960, 540)
+
+
+def _scene(name: str, add: Add, *, quick: bool) -> None:
+    size = SMALL if quick else HALF if "/" in name else WHOLE
+    samples, counts = (8, (1, 4)) if quick else (96, (1, 4, 16))
+    for rows in by_alpha(name, (0.1,) if quick else (None, *ALPHAS), size=size, samples=samples, counts=counts):
+        add(LAYERS, rows)
+    for alpha in (None,) if quick else (0.05, 0.2, None):
+        add(LIMIT, split(name, alpha, size=SMALL if quick else (240, 135), samples=samples, radius=8 if quick else 64))
+
+
+def _knobs(name: str, add: Add, *, quick: bool) -> None:
+    half, samples = (SMALL, 8) if quick else (HALF, 96)
+    add(PARTS, compared(name, 0.1, {**MAIN, **VARIANTS}, size=half, samples=samples))
+    add(KNOBS, compared(name, 0.1, SWEEP, size=half, samples=samples))
+    few = {label: SWEEP[label] for label in ("window 6", "four passes 6", "gather 6")}
+    for size in () if quick else ((240, 135), WHOLE):
+        add(KNOBS, compared(name, 0.1, few, size=size, samples=samples))
 
 
 def _short(word: str) -> str:

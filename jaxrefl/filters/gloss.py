@@ -22,7 +22,7 @@ from jaxrefl.filters.footprint import Footprint, plane_slope
 from jaxrefl.filters.gloss_atlas import TILE, Place, cut, enlarge, layout, neighbours, pack
 from jaxrefl.filters.gloss_layers import Layer, Limits, Others, Values, grown, pyramid
 from jaxrefl.filters.gloss_lines import REACH, TAPS, lines
-from jaxrefl.filters.gloss_window import window
+from jaxrefl.filters.gloss_window import ENOUGH, window
 
 METHODS = ("window", "separable", "four_pass")
 _MARGIN = 0.25
@@ -226,7 +226,7 @@ def _level(
     """The finest layer that holds a footprint, which is given in pixels of layer `number`; not rounded."""
     axes = principal_axes(jnp.moveaxis(covariance, 0, -1))
     if options.method == "window":
-        most = (options.radius + 0.5) / REACH
+        most = (options.radius + 0.5) / ENOUGH
     else:
         passes = 2.0 if options.method == "four_pass" else 1.0
         most = passes**0.5 * options.radius / REACH

@@ -14,6 +14,9 @@ from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree, normalise
 
 SHARP = 1e-3
 """Variance in pixels squared that is added to all: below it a Gaussian is one pixel."""
+ENOUGH = 1.6
+"""Standard deviations that a window reaches at least; at twice as many a finer layer takes its place. Reaching further
+costs more than it brings: coarser layers blur the shorter axis of long footprints."""
 _NEVER = -1e4
 _RATIO = 8.0
 """Most that the spread of a neighbour may differ from the pixel's own."""
