@@ -41,6 +41,7 @@ def test_errors_leave_out_the_noise_of_the_truth(rng):
     assert errors_of(own[0], noisy, mask, again=own[1])["RMSE"] == pytest.approx(exact["RMSE"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_mirror_image_shows_what_lies_in_its_picture():
     """A floor under a ceiling: near the middle of the picture narrow lobes are shown whole, at its border half."""
     ceiling = [[-9, 1, -9], [9, 1, -9], [9, 1, 9], [-9, 1, 9]]
