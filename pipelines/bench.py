@@ -217,8 +217,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--lightmap", nargs="+", metavar="SCENE", help="instead: errors of light maps in these scenes")
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
     parser.add_argument("--gloss", nargs="+", metavar="SCENE", help="instead: the gloss filter, and errors in scenes")
-    parser.add_argument("--part", choices=("errors", "times", "knobs", "growth", "all"), default="all",
-                        help="which of its tables to make (--temporal)")  # fmt: skip
+    parser.add_argument("--part", default="all",
+                        choices=("errors", "times", "knobs", "growth", "flat", "all"),
+                        help="which tables (--temporal: all but flat; --gloss: flat, errors, knobs)")  # fmt: skip
     parser.add_argument("--side", type=int, default=1024, help="width and height of the images (--temporal)")
     parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal)")
     parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")
@@ -340,7 +341,7 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
 
 
 def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
-    run_gloss(arguments.gloss, arguments.out, argv, quick=arguments.quick)
+    run_gloss(arguments.gloss, arguments.out, argv, arguments.part, quick=arguments.quick)
 
 
 _OTHERS = {

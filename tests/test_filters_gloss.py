@@ -196,6 +196,21 @@ def test_footprints_far_beyond_the_image_leave_pixels_as_they_are():
     np.testing.assert_array_equal(far, image)
 
 
+def test_thin_footprints_far_off_their_middle_stay_finite(rng):
+    """Where the terms of the exponent cancel, rounding must not make it positive: its exponential would be infinite."""
+    angle, major, minor = rng.uniform(0, np.pi, SIZE), 10 ** rng.uniform(6, 9, SIZE), 10 ** rng.uniform(-2, 2, SIZE)
+    c, s = np.cos(angle), np.sin(angle)
+    covariance = np.stack(
+        [major * c * c + minor * s * s, (major - minor) * c * s, major * s * s + minor * c * c], -1
+    )  # fmt: skip
+    mean = 0.7 * np.sqrt(major)[..., None] * np.stack([c, s], -1)
+    mean, covariance = (jnp.asarray(x, jnp.float32)[..., None, :] for x in (mean, covariance))
+    shape = Footprint(jnp.ones((*SIZE, 1)), mean, covariance)
+    image = noise()
+    found, _ = run(image, shape)
+    assert np.isfinite(found).all() and found.min() >= image.min() - 1e-6 and found.max() <= image.max() + 1e-6
+
+
 def mean_square(image, covariance, tau, options):
     shape = general_footprint(covariance)
     return (gloss(image, ONES, tau, guides(), shape, GlossParams(), options=options)[0] ** 2).mean()

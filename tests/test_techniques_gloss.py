@@ -141,6 +141,7 @@ def test_a_smooth_scene_needs_no_table_and_no_filter():
         np.testing.assert_array_equal(step(technique, frame)[0], step(raytrace, frame)[0])
 
 
+@pytest.mark.slow
 def test_pictures_and_their_gradients_are_finite_from_smooth_to_rough_and_from_contact_to_infinity():
     """Through footprint and filter: alpha 0 and 1, distances 0 and infinity; in between as finite differences say."""
     frame = looking_down(0.1, 1.0, size=(24, 16))

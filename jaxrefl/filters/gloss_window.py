@@ -96,7 +96,8 @@ def window(
             if spread:
                 ratio = spread_ratio(own, there.image)
                 ux, uy = dx * ratio - mx, dy * ratio - my
-            exponent = -(a * ux * ux + 2 * b * ux * uy + c * uy * uy)
+            # Far off the middle of long, narrow Gaussians these terms cancel, and rounding may leave less than 0.
+            exponent = -jnp.maximum(a * ux * ux + 2 * b * ux * uy + c * uy * uy, 0)
             # The exponential comes last: XLA then computes the weight once for all four sums.
             weight = jnp.exp(jnp.where(good, exponent, _NEVER)) * (there.trust * ratio * ratio)
             return [sums[0] + weight, *(s + weight * v for s, v in zip(sums[1:], there.colour, strict=True))], None
