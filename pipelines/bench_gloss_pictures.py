@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.bench_gloss_scenes import LIGHT, frame_of, glossy_pixels, run, truth_of
+from pipelines.bench_gloss_frames import LIGHT, frame_of, glossy_pixels, run
+from pipelines.bench_gloss_scenes import truth_of
 from pipelines.bench_gloss_truth import displayed
 
 Rows = list[dict[str, Any]]

@@ -175,7 +175,7 @@ def _one_gaussian(image: Layer, count: int, limits: Limits, options: GlossOption
         here = jnp.stack([cut(filtered, place, quarter) for place in places[2:]])
         below, _ = jax.lax.scan(up, below, (rest, here, jnp.arange(2, count, dtype=jnp.int32)), reverse=True)
     for number, fine in ((1, second), (0, image)):
-        own = cut(filtered, places[number], fine.id.shape)  # type: ignore[arg-type]
+        own = cut(filtered, places[number], (fine.id.shape[0], fine.id.shape[1]))
         below, _ = up(below, (fine, own, jnp.asarray(number, jnp.int32)))
     return below[1]
 
