@@ -24,7 +24,7 @@ from jaxrefl.scene import assemble
 from jaxrefl.surface import look
 from pipelines.bench_clusters import bench_clusters
 from pipelines.bench_energy import bench_energy
-from pipelines.bench_gloss import edge_profiles, evaluations, in_scenes, peers, plot_errors, plot_scenes
+from pipelines.bench_gloss_all import run_gloss
 from pipelines.bench_lightmap import bench_lightmap
 from pipelines.bench_main_job import run_main_job
 from pipelines.bench_mitsuba import BOUNCES, bench_mitsuba
@@ -219,8 +219,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
     parser.add_argument("--gloss", nargs="+", metavar="SCENE", help="instead: the gloss filter, and errors in scenes")
     parser.add_argument("--clusters", nargs="+", metavar="SCENE", help="instead: clusters of mirror rays")
-    parser.add_argument("--part", choices=("errors", "times", "knobs", "growth", "rough", "all"), default="all",
-                        help="which of its tables to make (--temporal, --clusters)")  # fmt: skip
+    parser.add_argument("--part", default="all",
+                        choices=("errors", "times", "knobs", "growth", "flat", "rough", "all"),
+                        help="which tables (--temporal, --clusters: all but flat; --gloss: flat, errors, knobs)")  # fmt: skip
     parser.add_argument("--side", type=int, default=1024, help="width and height of images (--temporal, --clusters)")
     parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal, --clusters)")
     parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")
@@ -342,31 +343,7 @@ def _temporal(arguments: argparse.Namespace, argv: list[str]) -> None:
 
 
 def _gloss(arguments: argparse.Namespace, argv: list[str]) -> None:
-    size, samples, side = ((48, 27), 8, 64) if arguments.quick else ((320, 180), 64, 512)
-    alphas = (0.1,) if arguments.quick else (0.02, 0.05, 0.1, 0.25, 0.5)
-    command, radii = "jaxrefl bench --gloss SCENE ...", (8,) if arguments.quick else (4, 8, 16, 32)
-    titles = [
-        "A blurred edge against the GGX lobe (width from 20 % to 80 %, relative error)",
-        f"Evaluations against the whole window, {side // 2} x {side // 2} pixels, 3 surfaces, turning footprints",
-        f"Milliseconds per Mpixel, {side} x {side} pixels, one thread each",
-        f"Glossy layer, {size[0]} x {size[1]} pixels, against {samples} GGX rays per pixel",
-    ]
-    # Scenes by folder and name: where they lie is of no interest.
-    argv = ["/".join(Path(word).parts[-2:]) for word in argv]
-    sections: dict[str, list[dict]] = {}
-
-    def add(title: str, rows: list[dict]) -> None:  # kept as it grows: it takes long
-        sections[title] = sections.get(title, []) + rows
-        write(arguments.out, "gloss", argv, sections, [command])
-
-    add(titles[0], edge_profiles(alphas, (0.2, 0.5, 0.9), side=side))
-    add(titles[1], evaluations(side // 2, 8 if arguments.quick else 32))
-    add(titles[2], peers(side, radii))
-    replaced = (None,) if arguments.quick else (None, *alphas[2:3])
-    for rows in in_scenes(arguments.gloss, replaced, size=size, samples=samples):
-        add(titles[3], rows)
-    plot_scenes(sections[titles[-1]], arguments.out / "gloss.png")
-    plot_errors(arguments.gloss[0], arguments.out / "gloss_errors.png", size=size, samples=samples)
+    run_gloss(arguments.gloss, arguments.out, argv, arguments.part, quick=arguments.quick)
 
 
 _OTHERS = {

@@ -79,6 +79,16 @@ def test_one_gaussian_is_too_wide_in_the_middle():
     assert rmse > 0.02 and width > 0.1
 
 
+@pytest.mark.slow
+def test_second_moments_are_worse_than_a_fit():
+    """The published estimate: the lobe's tails, which no Gaussian has, make it wider still."""
+    for alpha in (0.02, 0.1, 0.5):
+        fit, moments = (
+            errors(load_table(options=TableOptions(method)), alpha, 0.0, 0) for method in ("one", "moments")
+        )
+        assert moments[0] > fit[0] and moments[1] > fit[1] > 0
+
+
 def test_narrow_frontal_lobes_are_student_distributions(table):
     """The closed form: 1/2 (1 + u / sqrt(u^2 + w^2)) with w = 2 alpha tau."""
     alpha, tau = 0.01, 0.3

@@ -7,6 +7,8 @@ import pytest
 from reference.gloss import filtered
 
 from jaxrefl.filters import Footprint, GlossOptions, GlossParams, Guides, gloss
+from jaxrefl.filters.gloss_layers import Layer
+from jaxrefl.filters.gloss_window import spread_ratio
 
 H, W = 32, 40
 SIZE = (H, W)
@@ -145,6 +147,7 @@ def test_four_passes_are_near_the_window():
         assert np.sqrt(np.mean((exact - fast)[6:-6, 6:-6] ** 2)) < most
 
 
+@pytest.mark.slow
 def test_coarse_layers_stand_for_wide_footprints():
     """Away from the border a window of 9 pixels on the pyramid is one of 21 on the image."""
     y, x = np.mgrid[:H, :W]
@@ -165,6 +168,47 @@ def test_near_things_stay_sharp_before_far_ones():
         near.astype(np.float32), round_footprint(sigma), GlossOptions("window", 10, 1, spread=False), tau=tau
     )
     assert spread[16, 23, 0] < 0.02 < 0.1 < plain[16, 23, 0]
+
+
+def test_rays_of_the_lobe_start_at_the_pixels_own_point(rng):
+    """What a neighbour shows at V is seen from p under the tangent that image offset, tau and the ratio say."""
+    depth, beyond = rng.uniform(1, 5, 100), rng.uniform(0.5, 5, 100)
+    lateral, mirrored = rng.uniform(-0.3, 0.3, (2, 100))
+    p, v = lateral * depth, mirrored * (depth + beyond)  # on one axis of an image with focal length 1
+    tangent = (v - p * (depth + beyond) / depth) / beyond  # of V beside the line of sight through p
+    own_image = depth + rng.uniform(0.5, 5, 100)
+    data = [jnp.zeros(100, jnp.float32) for _ in range(16)]
+    data[3], data[9] = jnp.asarray(1 / depth, jnp.float32), jnp.asarray(1 / own_image, jnp.float32)
+    own = Layer(jnp.zeros(100, jnp.int32), tuple(data))
+    ratio = spread_ratio(own, jnp.asarray(1 / (depth + beyond), jnp.float32))
+    tau = 1 - depth / own_image
+    kept = np.abs(np.log(np.asarray(ratio))) < np.log(7.9)  # the others are clipped
+    np.testing.assert_allclose(((v / (depth + beyond) - p / depth) * ratio / tau)[kept], tangent[kept], rtol=5e-3)
+    assert kept.mean() > 0.9
+
+
+def test_footprints_far_beyond_the_image_leave_pixels_as_they_are():
+    """Weights too small to divide by count as nothing: values and gradients stay finite."""
+    image = jnp.asarray(noise())
+    found, known = run(image, general_footprint((1.0, 0.0, 1.0), (9.0, 9.0)))
+    assert known.all() and np.isfinite(found).all()
+    far, _ = run(image, general_footprint((1.0, 0.0, 1.0), (5e3, 5e3)))
+    np.testing.assert_array_equal(far, image)
+
+
+def test_thin_footprints_far_off_their_middle_stay_finite(rng):
+    """Where the terms of the exponent cancel, rounding must not make it positive: its exponential would be infinite."""
+    angle, major, minor = rng.uniform(0, np.pi, SIZE), 10 ** rng.uniform(6, 9, SIZE), 10 ** rng.uniform(-2, 2, SIZE)
+    c, s = np.cos(angle), np.sin(angle)
+    covariance = np.stack(
+        [major * c * c + minor * s * s, (major - minor) * c * s, major * s * s + minor * c * c], -1
+    )  # fmt: skip
+    mean = 0.7 * np.sqrt(major)[..., None] * np.stack([c, s], -1)
+    mean, covariance = (jnp.asarray(x, jnp.float32)[..., None, :] for x in (mean, covariance))
+    shape = Footprint(jnp.ones((*SIZE, 1)), mean, covariance)
+    image = noise()
+    found, _ = run(image, shape)
+    assert np.isfinite(found).all() and found.min() >= image.min() - 1e-6 and found.max() <= image.max() + 1e-6
 
 
 def mean_square(image, covariance, tau, options):

@@ -71,18 +71,6 @@ def test_a_quick_benchmark_of_reprojection_writes_its_tables(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_quick_benchmark_of_the_gloss_filter_writes_its_tables(tmp_path):
-    assert main(["--gloss", "roughness_steps", "--quick", "--out", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "gloss.json").read_text())
-    profiles = next(rows for title, rows in found.items() if "edge" in title)
-    assert all(row["RMSE"] < 0.02 for row in profiles if row["Gaussians"] == "two")
-    layers = next(rows for title, rows in found.items() if "Glossy layer" in title)
-    errors = {row["method"]: row["RMSE"] for row in layers}
-    assert errors["mirror_gloss"] < errors["gather"]
-    assert (tmp_path / "gloss.png").exists() and (tmp_path / "gloss_errors.png").exists()
-
-
-@pytest.mark.slow
 def test_a_quick_convergence_benchmark_writes_its_table(tmp_path):
     assert main(["--path", "--quick", "--out", str(tmp_path)]) == 0
     (rows,) = (v for k, v in json.loads((tmp_path / "path_convergence.json").read_text()).items() if "Slope" in k)

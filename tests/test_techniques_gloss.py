@@ -1,5 +1,8 @@
 """Mirror rays with the gloss filter, and gathering: right blur at known distances, contact hardening, fewer errors."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -139,25 +142,39 @@ def test_a_smooth_scene_needs_no_table_and_no_filter():
 
 
 @pytest.mark.slow
-def test_the_roughness_of_a_floor_is_recovered_from_its_picture():
-    """Gauss-Newton on alpha through the filter: from 0.05 and from 0.2 to the floor's 0.1."""
-    frame = looking_down(0.1, 1.0)
-    camera, gbuffer, table = frame.camera, frame.gbuffer, load_table()
-    tau = relative_distance(gbuffer.t, jnp.full(gbuffer.t.shape, 1.0))
-    sharp = jnp.asarray((np.arange(96) > 47).astype(np.float32))[None, :, None] * jnp.ones((24, 96, 3))
-    ones, guide = jnp.ones(gbuffer.t.shape), guides_of(camera, gbuffer)
-    how = GlossOptions("window", 12, 1)
+def test_pictures_and_their_gradients_are_finite_from_smooth_to_rough_and_from_contact_to_infinity():
+    """Through footprint and filter: alpha 0 and 1, distances 0 and infinity; in between as finite differences say."""
+    frame = looking_down(0.1, 1.0, size=(24, 16))
+    camera, gbuffer, table, guide = frame.camera, frame.gbuffer, load_table(), guides_of(frame.camera, frame.gbuffer)
+    sharp = jnp.asarray((np.arange(24) > 11).astype(np.float32))[None, :, None] * jnp.ones((16, 24, 3))
+    ones = jnp.ones(gbuffer.t.shape)
 
     @jax.jit
-    def picture(alpha):
-        shape = footprint(table, camera, gbuffer, tau, alpha=jnp.full(tau.shape, alpha))
-        return gloss(sharp, ones, tau, guide, shape, GlossParams(), options=how)[0][12, 24:72, 0]
+    @jax.value_and_grad
+    def mean_square(alpha, distance):
+        tau = relative_distance(gbuffer.t, distance * ones)
+        shape = footprint(table, camera, gbuffer, tau, alpha=alpha * ones)
+        return (
+            gloss(sharp, ones, tau, guide, shape, GlossParams(), options=GlossOptions("window", 6, 1))[0] ** 2
+        ).mean()
 
-    target = picture(jnp.float32(0.1))
-    slope = jax.jit(jax.jacfwd(picture))
-    for start in (0.05, 0.2):
-        alpha = jnp.float32(start)
-        for _ in range(8):
-            error, change = picture(alpha) - target, slope(alpha)
-            alpha = jnp.clip(alpha - (error * change).sum() / (change * change).sum(), 0.5 * alpha, 2 * alpha)
-        assert float(alpha) == pytest.approx(0.1, rel=0.02)
+    for alpha in (0.0, 0.02, 1.0):
+        for distance in (0.0, 1.0, np.inf):
+            found = mean_square(jnp.float32(alpha), jnp.float32(distance))
+            assert all(np.isfinite(float(x)) for x in found), (alpha, distance)
+            if alpha == 0 or distance == 0:
+                assert float(found[0]) == pytest.approx(0.5, abs=1e-6), "nothing to blur"
+    low, high = (float(mean_square(jnp.float32(a), jnp.float32(1.0))[0]) for a in (0.095, 0.105))
+    gradient = float(mean_square(jnp.float32(0.1), jnp.float32(1.0))[1])
+    assert gradient == pytest.approx((high - low) / 0.01, rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_example_recovers_the_roughness_of_a_floor(capsys):
+    """The example of the documentation, as it is printed."""
+    page = Path(__file__).parent.parent / "docs" / "pages" / "gloss.md"
+    (code,) = (c for c in re.findall(r"```python\n(.*?)```", page.read_text(), re.S) if "optimistix" in c)
+    found: dict = {}
+    exec(code, found)
+    assert found["found"] == pytest.approx(0.12, rel=0.1)
+    assert capsys.readouterr().out.strip() in page.read_text()

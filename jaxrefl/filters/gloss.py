@@ -19,21 +19,10 @@ from jaxrefl._types import Camera, GBuffer
 from jaxrefl.core import apart
 from jaxrefl.filters.covariance import principal_axes
 from jaxrefl.filters.footprint import Footprint, plane_slope
-from jaxrefl.filters.gloss_layers import (
-    TILE,
-    Layer,
-    Limits,
-    Others,
-    Values,
-    cut,
-    enlarge,
-    grown,
-    layout,
-    pack,
-    pyramid,
-)
+from jaxrefl.filters.gloss_atlas import TILE, Place, cut, enlarge, layout, neighbours, pack
+from jaxrefl.filters.gloss_layers import Layer, Limits, Others, Values, grown, pyramid
 from jaxrefl.filters.gloss_lines import REACH, TAPS, lines
-from jaxrefl.filters.gloss_window import window
+from jaxrefl.filters.gloss_window import ENOUGH, window
 
 METHODS = ("window", "separable", "four_pass")
 _MARGIN = 0.25
@@ -69,7 +58,7 @@ class GlossOptions:
     method: str = "window"
     """"window": every pixel of a square; "separable": two passes along the principal axes; "four_pass": four with half
     the covariance each, as published."""
-    radius: int = 4
+    radius: int = 6
     """Pixels (window) or taps (passes) to either side; wider footprints are filtered on coarser layers."""
     layers: int = 10
     """Most layers of the pyramid, the image included; 1: none, and what `radius` cuts off is lost."""
@@ -138,14 +127,16 @@ def gloss(
     inverse = jnp.where(surface, 1 / jnp.where(guides.depth > 0, guides.depth, 1), 0)
     colour = jnp.where((confidence > 0)[..., None], radiance, 0)
     trust = jnp.where(surface, confidence, 0)
-    parts = (guides.normal, inverse[..., None], guides.slope, colour, tau[..., None], trust[..., None])
-    size = (-(-h // 4) * 4, -(-w // 4) * 4)
+    parts = [*_planes(guides.normal), inverse, *_planes(guides.slope), *_planes(colour), (1 - tau) * inverse, trust]
+    size = (-(-h // 8) * 8, -(-w // 8) * 8)
 
     def one(gaussian: Float[Array, "5 h w"]) -> Values:
-        layer = Layer(guides.id, jnp.concatenate([jnp.moveaxis(jnp.concatenate(parts, -1), -1, 0), gaussian]))
+        layer = Layer(guides.id, jnp.concatenate([jnp.stack(parts), gaussian]))
         return _one_gaussian(grown(layer, size), count, limits, options)[:, :h, :w]
 
-    gaussians = jnp.moveaxis(jnp.concatenate([footprint.mean, footprint.covariance], -1), (-2, -1), (0, 1))
+    gaussians = jnp.stack(
+        [jnp.moveaxis(p, -1, 0) for p in (*_planes(footprint.mean), *_planes(footprint.covariance))], 1
+    )
     values = jax.lax.map(one, gaussians)
     weights = jnp.where(values[:, 3] > 0, jnp.moveaxis(footprint.weight, -1, 0), 0)
     total, share, known = (weights[:, None] * values[:, :3]).sum(0), weights.sum(0), (values[:, 3] > 0).any(0)
@@ -156,37 +147,37 @@ def gloss(
     return jnp.where(surface[..., None], result, 0), surface & (known | own)
 
 
+def _planes(x: Float[Array, "*b c"]) -> list[Float[Array, "*b"]]:
+    """Components one by one: interleaving them all in one array first takes longer than the filter."""
+    return [x[..., i] for i in range(x.shape[-1])]
+
+
 def _one_gaussian(image: Layer, count: int, limits: Limits, options: GlossOptions) -> Values:
     """Filter every layer where its resolution suits the footprint, and put the layers together."""
     h, w = image.id.shape
     places, size = layout(h, w, count)
     finest = _level(image.covariance, jnp.zeros_like(image.id), count, options)
     deepest = jnp.where(image.id >= 0, finest, -1).max() + 1.5 + _MARGIN
-    others = Layer(image.id[None][:0], image.data[None][:0])
-    if count > 1:
-        others = pyramid(image, count, limits, deepest)
-    atlas = pack(image, others, places, size)
-    number = jnp.where(atlas.id >= 0, atlas.id % count, -1)
-    level = _level(atlas.covariance, number, count, options)
-    beyond = level - number.astype(jnp.float32)
-    wanted = (beyond < _MARGIN) & (beyond > -1.5 - _MARGIN) & (atlas.id >= 0)
-    active = wanted.reshape(size[0] // TILE[0], TILE[0], -1, TILE[1]).any((1, 3))
-    narrowed = _without_resampling(atlas.covariance, number)
-    filtered = _filter(atlas._replace(data=atlas.data.at[13:16].set(narrowed)), active, limits, options)
     if count == 1:
-        return filtered[:, :h, :w]
-    half = (others.id.shape[1], others.id.shape[2])
-    here = jnp.stack([cut(filtered, place, half) for place in places[1:]])
-    numbers = jnp.arange(1, count, dtype=jnp.int32)
+        return _filter([image], places, size, limits, options)[:, :h, :w]
+    second, rest = pyramid(image, count, limits, deepest)
+    layers = [image, second, *(jax.tree.map(lambda x, n=n: x[n], rest) for n in range(count - 2))]
+    filtered = _filter(layers, places, size, limits, options)
+    quarter = (rest.id.shape[1], rest.id.shape[2])
 
-    def up(below: tuple[Layer, Values], part: tuple[Layer, Values, Array]) -> tuple[tuple[Layer, Values], None]:
+    def up(below: tuple[Layer, Others], part: tuple[Layer, Values, Array]) -> tuple[tuple[Layer, Array], None]:
         fine, own, number = part
         return (fine, _join(fine, own, below, number, count, limits, options)), None
 
-    nothing = Layer(jnp.full(half, -1, jnp.int32), jnp.zeros((image.data.shape[0], *half), jnp.float32))
-    start = (nothing, jnp.zeros((4, *half), jnp.float32))
-    below, _ = jax.lax.scan(up, start, (others, here, numbers), reverse=True)
-    return _join(image, cut(filtered, places[0], (h, w)), below, jnp.zeros_like(numbers[0]), count, limits, options)
+    nothing = Layer(jnp.full(quarter, -1, jnp.int32), jnp.zeros((image.data.shape[0], *quarter), jnp.float32))
+    below = (nothing, jnp.zeros((4, *quarter), jnp.float32))
+    if count > 2:
+        here = jnp.stack([cut(filtered, place, quarter) for place in places[2:]])
+        below, _ = jax.lax.scan(up, below, (rest, here, jnp.arange(2, count, dtype=jnp.int32)), reverse=True)
+    for number, fine in ((1, second), (0, image)):
+        own = cut(filtered, places[number], (fine.id.shape[0], fine.id.shape[1]))
+        below, _ = up(below, (fine, own, jnp.asarray(number, jnp.int32)))
+    return below[1]
 
 
 def _join(
@@ -209,12 +200,23 @@ def _join(
     return jnp.concatenate([colour, weight[None]])
 
 
-def _filter(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, options: GlossOptions) -> Values:
+def _filter(
+    layers: list[Layer], places: list[Place], size: tuple[int, int], limits: Limits, options: GlossOptions
+) -> Values:
+    """Filter the tiles of an atlas whose resolution suits their footprints."""
+    count, margin = len(places), options.radius if options.method == "window" else 0
+    atlas = pack(layers, places, size, margin)
+    inner = jax.tree.map(lambda x: x[..., margin : margin + size[0], margin : margin + size[1]], atlas)
+    number = jnp.where(inner.id >= 0, inner.id % count, -1)
+    beyond = _level(inner.covariance, number, count, options) - number.astype(jnp.float32)
+    wanted = (beyond < _MARGIN) & (beyond > -1.5 - _MARGIN) & (inner.id >= 0)
+    active = wanted.reshape(size[0] // TILE[0], TILE[0], -1, TILE[1]).any((1, 3))
+    left = _without_resampling(inner.covariance, number)
     if options.method == "window":
-        return window(atlas, active, limits, radius=options.radius, spread=options.spread)
-    pairs = 2 if options.method == "four_pass" else 1
+        return window(atlas, left, active, limits, radius=options.radius, spread=options.spread)
+    pairs, active = 2 if options.method == "four_pass" else 1, neighbours(active, places)
     return lines(
-        atlas, active, limits, radius=options.radius, taps=options.taps, spread=options.spread, pairs=pairs
+        atlas, left, active, limits, radius=options.radius, taps=options.taps, spread=options.spread, pairs=pairs
     )  # fmt: skip
 
 
@@ -224,7 +226,7 @@ def _level(
     """The finest layer that holds a footprint, which is given in pixels of layer `number`; not rounded."""
     axes = principal_axes(jnp.moveaxis(covariance, 0, -1))
     if options.method == "window":
-        most = (options.radius + 0.5) / REACH
+        most = (options.radius + 0.5) / ENOUGH
     else:
         passes = 2.0 if options.method == "four_pass" else 1.0
         most = passes**0.5 * options.radius / REACH

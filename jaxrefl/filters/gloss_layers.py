@@ -1,11 +1,11 @@
-"""Pyramid of the gloss filter: image planes -> coarser layers -> one atlas, and back.
+"""Pyramid of the gloss filter: image planes -> coarser layers.
 
 A wide Gaussian on a fine image is a narrow one on a coarse image. Every layer halves the one before: of four pixels the
 one that most of them agree with is the surface of the coarse pixel, and those that agree are averaged; so nothing leaks
-across edges. All layers lie side by side in one image, so that the filter is compiled once and visits only the tiles
-that need it.
+across edges.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,12 +14,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl.core import apart
 
-TILE = (32, 128)
-"""Rows and columns of what is filtered at a time; fits the cache of a CPU."""
-
-
-_DATA = 16
+DATA = 16
 """Planes of a layer besides its ids."""
+LEAST = 1e-18
+"""Weight below which nothing was found: its inverse and the square of that are still finite."""
 _COLOUR = slice(6, 9)
 
 
@@ -52,8 +50,8 @@ class Layer(NamedTuple):
         return self.data[_COLOUR]
 
     @property
-    def tau(self) -> Any:
-        """Relative distance of what is reflected."""
+    def image(self) -> Any:
+        """Inverse depth of the mirror image."""
         return self.data[9]
 
     @property
@@ -105,6 +103,20 @@ def agree(a: Layer, b: Layer, dx: Array | float, dy: Array | float, limits: Limi
     return (a.id == b.id) & (a.id >= 0) & (cosine > limits.normal) & near
 
 
+def normalised(sums: Sequence[Float[Array, "n"]], weight: Float[Array, "n"]) -> Float[Array, "4 n"]:
+    """Sums over their weight, and the weight.
+
+    Args:
+        sums: One per channel.
+        weight: Sum of the weights.
+    Returns:
+        Means and the weight; 0 where nothing was found.
+    """
+    known = weight > LEAST
+    inverse = jnp.where(known, 1 / jnp.where(known, weight, 1), 0)
+    return jnp.stack([*(s * inverse for s in sums), jnp.where(known, weight, 0)])
+
+
 class Merge(NamedTuple):
     """How four pixels become one."""
 
@@ -154,9 +166,9 @@ def _merged(fine: Layer, merge: Merge) -> Layer:
     row = 2 * jnp.arange(h, dtype=jnp.int32)[:, None] + merge.corner // 2
     column = 2 * jnp.arange(w, dtype=jnp.int32)[None, :] + merge.corner % 2
     at = row * (2 * w) + column
-    chosen = Layer(fine.id.reshape(-1)[at], fine.data.reshape(_DATA, -1)[:, at])
+    chosen = Layer(fine.id.reshape(-1)[at], fine.data.reshape(DATA, -1)[:, at])
     dx, dy = (merge.corner % 2).astype(jnp.float32) - 0.5, (merge.corner // 2).astype(jnp.float32) - 0.5
-    known = fine.data[6:10]  # colour and tau
+    known = fine.data[6:10]  # colour and the mirror image
     average = sum(share[None] * _corner(known, at) for share, at in zip(merge.shares, _CORNERS, strict=True))
     average = jnp.where((merge.trust > 0)[None], average, chosen.data[6:10])
     inverse = chosen.inverse - chosen.slope[0] * dx - chosen.slope[1] * dy
@@ -191,16 +203,17 @@ def grown(layer: Layer, size: tuple[int, int]) -> Layer:
     return Layer(jnp.pad(layer.id, edges, constant_values=-1), jnp.pad(layer.data, [(0, 0), *edges]))
 
 
-def pyramid(image: Layer, count: int, limits: Limits, deepest: Float[Array, ""]) -> Layer:
-    """All layers but the first, each in the top left corner of an image of the second one's size.
+def pyramid(image: Layer, count: int, limits: Limits, deepest: Float[Array, ""]) -> tuple[Layer, Layer]:
+    """All layers but the first.
 
     Args:
-        image: The finest layer, with rows and columns that are multiples of 4.
+        image: The finest layer, with rows and columns that are multiples of 8.
         count: Layers, the finest included, >= 2.
         limits: Thresholds.
         deepest: Layers with a number above this are not needed and stay empty.
     Returns:
-        The layers [count - 1, ...] from the second one on.
+        The second layer, and the others [count - 2, ...], each in the top left corner of an image of the third one's
+        size: one loop makes them all.
     """
     second = halve(image, limits, deepest >= 1)
 
@@ -208,110 +221,6 @@ def pyramid(image: Layer, count: int, limits: Limits, deepest: Float[Array, ""])
         coarse = halve(fine, limits, deepest >= number)
         return grown(coarse, (fine.id.shape[0], fine.id.shape[1])), fine
 
-    _, layers = jax.lax.scan(step, second, jnp.arange(2, count + 1).astype(jnp.float32))
-    return layers
-
-
-class Place(NamedTuple):
-    """Where a layer lies in the atlas."""
-
-    row: int
-    column: int
-    height: int
-    width: int
-
-
-def layout(h: int, w: int, count: int) -> tuple[list[Place], tuple[int, int]]:
-    """Places of all layers in an atlas of whole tiles: the image, the others below each other to its right.
-
-    Args:
-        h: Rows of the image.
-        w: Its columns.
-        count: Layers.
-    Returns:
-        One place per layer, and the atlas's rows and columns.
-    """
-
-    def whole(x: int, tile: int) -> int:
-        return -(-x // tile) * tile
-
-    places, row, right = [Place(0, 0, h, w)], 0, 0
-    for _ in range(1, count):
-        h, w = -(-h // 2), -(-w // 2)
-        places.append(Place(row, whole(places[0].width, TILE[1]), h, w))
-        row, right = row + whole(h, TILE[0]), max(right, whole(w, TILE[1]))
-    return places, (max(whole(places[0].height, TILE[0]), row), whole(places[0].width, TILE[1]) + right)
-
-
-def pack(image: Layer, others: Layer, places: list[Place], size: tuple[int, int]) -> Layer:
-    """All layers in one image; ids tell them apart.
-
-    Args:
-        image: The finest layer.
-        others: The coarser ones, from `pyramid`.
-        places: From `layout`.
-        size: Of the atlas.
-    Returns:
-        The atlas.
-    """
-    count = len(places)
-    ids, data = jnp.full(size, -1, jnp.int32), jnp.zeros((_DATA, *size), jnp.float32)
-    for number, place in enumerate(places):
-        layer = image if number == 0 else jax.tree.map(lambda x, n=number: x[n - 1], others)
-        own = layer.id[: place.height, : place.width]
-        own = jnp.where(own >= 0, own * count + number, -1)
-        ids = jax.lax.dynamic_update_slice(ids, own, (place.row, place.column))
-        part = layer.data[:, : place.height, : place.width]
-        data = jax.lax.dynamic_update_slice(data, part, (0, place.row, place.column))
-    return Layer(ids, data)
-
-
-def cut(atlas: Others, place: Place, size: tuple[int, int]) -> Values:
-    """One layer of a filtered atlas.
-
-    Args:
-        atlas: The atlas.
-        place: Where the layer lies.
-        size: Rows and columns of the result; what is not the layer's is 0.
-    Returns:
-        The layer.
-    """
-    part = atlas[:, place.row : place.row + place.height, place.column : place.column + place.width]
-    return jnp.pad(part, ((0, 0), (0, size[0] - place.height), (0, size[1] - place.width)))
-
-
-def enlarge(fine: Layer, coarse: Layer, values: Others, limits: Limits) -> Values:
-    """Values of a coarse layer at the pixels of the finer one: bilinear, from the same surface only.
-
-    Args:
-        fine: The finer layer.
-        coarse: The coarser one.
-        values: Of the coarser one.
-        limits: Thresholds.
-    Returns:
-        Those of the finer one; the weight is 0 where there was nothing to read.
-    """
-    (h, w), (rows, columns) = fine.id.shape, coarse.id.shape
-    y = jnp.broadcast_to(jnp.arange(h, dtype=jnp.int32)[:, None], (h, w))
-    x = jnp.broadcast_to(jnp.arange(w, dtype=jnp.int32)[None, :], (h, w))
-    # One flat array per plane: gathers of stacks are many times as slow.
-    ids, planes = coarse.id.reshape(-1), tuple(p.reshape(-1) for p in (*coarse.data[:6], *values))
-
-    def add(sums: list[Array], corner: Int[Array, ""]) -> tuple[list[Array], None]:
-        # The coarse pixel that holds the fine one has the weight 3/4 on each axis, the one beside it 1/4.
-        cy = y // 2 + (corner // 2) * (2 * (y % 2) - 1)
-        cx = x // 2 + (corner % 2) * (2 * (x % 2) - 1)
-        inside = (cy >= 0) & (cy < rows) & (cx >= 0) & (cx < columns)
-        at = jnp.clip(cy, 0, rows - 1) * columns + jnp.clip(cx, 0, columns - 1)
-        there = tuple(p[at] for p in planes)
-        dx, dy = (2 * c.astype(jnp.float32) + 0.5 - f.astype(jnp.float32) for c, f in ((cx, x), (cy, y)))
-        good = inside & agree(fine, Layer(ids[at], there), dx, dy, limits)
-        share = jnp.where(corner // 2 == 1, 0.25, 0.75) * jnp.where(corner % 2 == 1, 0.25, 0.75)
-        weight = jnp.where(good, there[9], 0) * share
-        return [s + weight * v for s, v in zip(sums, (*there[6:9], jnp.ones_like(weight)), strict=True)], None
-
-    zero = [jnp.zeros((h, w), jnp.float32) for _ in range(4)]
-    sums, _ = jax.lax.scan(add, zero, jnp.arange(4, dtype=jnp.int32))
-    known = sums[3] > 0
-    inverse = jnp.where(known, 1 / jnp.where(known, sums[3], 1), 0)
-    return jnp.stack([*(s * inverse for s in sums[:3]), sums[3]])
+    third = halve(second, limits, deepest >= 2)
+    _, rest = jax.lax.scan(step, third, jnp.arange(3, count + 1).astype(jnp.float32))
+    return second, rest

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxrefl.filters.covariance import principal_axes
-from jaxrefl.filters.gloss_layers import TILE, Layer, Limits, Values, agree
-from jaxrefl.filters.gloss_window import SHARP, normalised, over_tiles, spread_ratio
+from jaxrefl.filters.gloss_atlas import TILE
+from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree, normalised
+from jaxrefl.filters.gloss_window import SHARP, over_tiles, spread_ratio
 
 TAPS = ("nearest", "linear")
 REACH = 2.5
@@ -21,13 +22,22 @@ REACH = 2.5
 
 
 def lines(
-    atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius: int, taps: str, spread: bool, pairs: int
+    atlas: Layer,
+    covariance: Float[Array, "3 ah aw"],
+    active: Bool[Array, "ty tx"],
+    limits: Limits,
+    *,
+    radius: int,
+    taps: str,
+    spread: bool,
+    pairs: int,
 ) -> Values:
     """Means over lines along the larger, then the smaller axis of each pixel's Gaussian, `pairs` times.
 
     Args:
         atlas: What to filter, in whole tiles.
-        active: Which tiles to filter; the others come back 0.
+        covariance: Of the Gaussians.
+        active: Which tiles to filter: what is wanted and its neighbours, as passes read each other's results.
         limits: Thresholds.
         radius: Taps to either side.
         taps: "nearest" pixel of the line, or "linear" between two.
@@ -36,19 +46,17 @@ def lines(
     Returns:
         Means of the colour, and the sum of the weights, 0 where nothing was found.
     """
-    axes = principal_axes(jnp.moveaxis(atlas.covariance, 0, -1))
+    axes = principal_axes(jnp.moveaxis(covariance, 0, -1))
     along = atlas.mean[0] * axes.cos + atlas.mean[1] * axes.sin
     beside = atlas.mean[1] * axes.cos - atlas.mean[0] * axes.sin
     share = pairs**-0.5
     major = (axes.cos, axes.sin, axes.major * share, along / pairs)
     minor = (-axes.sin, axes.cos, axes.minor * share, beside / pairs)
     both = tuple(jnp.stack(pair) for pair in zip(major, minor, strict=True))
-    # Neighbours of what is wanted are needed too: passes read each other's results.
-    near = jax.lax.reduce_window(active, False, jax.lax.bitwise_or, (3, 3), (1, 1), "SAME")
 
     def one_pass(state: Values, number: Array) -> tuple[Values, None]:
         line = tuple(x[number % 2] for x in both)
-        return _pass(atlas, state, line, near, limits, radius=radius, taps=taps, spread=spread), None
+        return _pass(atlas, state, line, active, limits, radius=radius, taps=taps, spread=spread), None
 
     start = jnp.concatenate([atlas.colour, atlas.trust[None]])
     state, _ = jax.lax.scan(one_pass, start, jnp.arange(2 * pairs, dtype=jnp.int32))
@@ -69,7 +77,7 @@ def _pass(
     rows, columns = TILE
     height, width = atlas.id.shape
     # One flat array per plane; the values are those of the pass before.
-    planes = (*atlas.data[:6], *state[:3], atlas.tau, state[3])
+    planes = (*atlas.data[:6], *state[:3], atlas.image, state[3])
     flat = Layer(atlas.id.reshape(-1), tuple(p.reshape(-1) for p in planes))
 
     def tile(top: Array, left: Array) -> Float[Array, "p r c"]:
@@ -100,7 +108,7 @@ def _pass(
             for dx, dy, amount in ends:
                 there, inside = _read(flat, x + dx.astype(jnp.int32), y + dy.astype(jnp.int32), height, width)
                 distance = dx * cos + dy * sin if taps == "nearest" else step * unit
-                ratio = spread_ratio(own.tau, there.tau) if spread else jnp.ones_like(cos)
+                ratio = spread_ratio(own, there.image) if spread else jnp.ones_like(cos)
                 good = inside & agree(own, there, dx, dy, limits)
                 exponent = -half * (distance * ratio - shift) ** 2
                 weight = jnp.exp(jnp.where(good, exponent, -1e4)) * amount * ratio
@@ -124,4 +132,4 @@ def _pass(
 def _read(flat: Layer, x: Array, y: Array, height: int, width: int) -> tuple[Layer, Bool[Array, "n"]]:
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     at = jnp.clip(y, 0, height - 1) * width + jnp.clip(x, 0, width - 1)
-    return jax.tree.map(lambda p: p[at], flat), inside
+    return jax.tree.map(lambda p: p.at[at].get(mode="promise_in_bounds"), flat), inside

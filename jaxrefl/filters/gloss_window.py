@@ -3,16 +3,20 @@
 Source: [RLPWSD20] §6.2, Eq. 4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl.filters.gloss_layers import TILE, Layer, Limits, Values, agree
+from jaxrefl.filters.gloss_atlas import TILE
+from jaxrefl.filters.gloss_layers import Layer, Limits, Values, agree, normalised
 
 SHARP = 1e-3
 """Variance in pixels squared that is added to all: below it a Gaussian is one pixel."""
+ENOUGH = 1.6
+"""Standard deviations that a window reaches at least; at twice as many a finer layer takes its place. Reaching further
+costs more than it brings: coarser layers blur the shorter axis of long footprints."""
 _NEVER = -1e4
 _RATIO = 8.0
 """Most that the spread of a neighbour may differ from the pixel's own."""
@@ -36,11 +40,20 @@ def precision(
     return yy * half, -xy * half, xx * half
 
 
-def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius: int, spread: bool) -> Values:
+def window(
+    atlas: Layer,
+    covariance: Float[Array, "3 ah aw"],
+    active: Bool[Array, "ty tx"],
+    limits: Limits,
+    *,
+    radius: int,
+    spread: bool,
+) -> Values:
     """Weighted means over windows.
 
     Args:
-        atlas: What to filter, in whole tiles.
+        atlas: What to filter, in whole tiles with a margin of `radius`.
+        covariance: Of the Gaussians; without the margin.
         active: Which tiles to filter; the others come back 0.
         limits: Thresholds.
         radius: Half the width of the window, pixels.
@@ -51,9 +64,8 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
     rows, columns = TILE
     wide = columns + 2 * radius
     size, span = rows * wide, 2 * radius + 1
-    edge = (radius, radius)
-    padded = Layer(jnp.pad(atlas.id, radius, constant_values=-1), jnp.pad(atlas.data[:11], ((0, 0), edge, edge)))
-    own_only = jnp.concatenate([jnp.stack(precision(atlas.covariance)), atlas.mean])
+    mean = atlas.mean[:, radius : -radius or None, radius : -radius or None]
+    own_only = jnp.concatenate([jnp.stack(precision(covariance)), mean])
 
     def tile(y: Array, x: Array) -> Float[Array, "p r c"]:
         def local(plane: Array) -> Array:
@@ -65,7 +77,7 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
             return jnp.pad(part, ((0, 0), (0, 2 * radius))).reshape(-1)
 
         # Flat arrays, one per plane: the loop over taps runs four times as fast as on images.
-        ids, around = local(padded.id), tuple(local(p) for p in padded.data)
+        ids, around = local(atlas.id), tuple(local(p) for p in atlas.data[:11])
         a, b, c, mx, my = (inner(p) for p in own_only)
 
         def shifted(tap: Array) -> Layer:
@@ -82,9 +94,10 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
             ux, uy = dx - mx, dy - my
             ratio = jnp.ones_like(a)
             if spread:
-                ratio = spread_ratio(own.tau, there.tau)
+                ratio = spread_ratio(own, there.image)
                 ux, uy = dx * ratio - mx, dy * ratio - my
-            exponent = -(a * ux * ux + 2 * b * ux * uy + c * uy * uy)
+            # Far off the middle of long, narrow Gaussians these terms cancel, and rounding may leave less than 0.
+            exponent = -jnp.maximum(a * ux * ux + 2 * b * ux * uy + c * uy * uy, 0)
             # The exponential comes last: XLA then computes the weight once for all four sums.
             weight = jnp.exp(jnp.where(good, exponent, _NEVER)) * (there.trust * ratio * ratio)
             return [sums[0] + weight, *(s + weight * v for s, v in zip(sums[1:], there.colour, strict=True))], None
@@ -96,31 +109,23 @@ def window(atlas: Layer, active: Bool[Array, "ty tx"], limits: Limits, *, radius
     return over_tiles(tile, active)
 
 
-def normalised(sums: Sequence[Float[Array, "n"]], weight: Float[Array, "n"]) -> Float[Array, "4 n"]:
-    """Sums over their weight, and the weight.
+def spread_ratio(own: Layer, image: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    r"""How much narrower the Gaussian of what a neighbour shows is than the pixel's own.
+
+    $$ \frac{\tau}{\tau_i},\qquad \tau_i = 1 - \frac{z}{Z_i} $$
+
+    with the depths z of the pixel's reflector and $Z_i$ of the neighbour's mirror image: the lobe's rays start at the
+    pixel's own point, also where the reflector is slanted and the neighbour's point is nearer or farther.
 
     Args:
-        sums: One per channel.
-        weight: Sum of the weights.
+        own: The pixels.
+        image: Inverse depth of what their neighbours show.
     Returns:
-        Means, 0 where nothing was found, and the weight.
+        The ratio, within `_RATIO`.
     """
-    known = weight > 0
-    inverse = jnp.where(known, 1 / jnp.where(known, weight, 1), 0)
-    return jnp.stack([*(s * inverse for s in sums), weight])
-
-
-def spread_ratio(own: Float[Array, "*b"], other: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """How much narrower the Gaussian of a neighbour is than the pixel's own.
-
-    Args:
-        own: tau of the pixel.
-        other: tau of the neighbour.
-    Returns:
-        own / other, within `_RATIO`.
-    """
-    least = 1e-4
-    return jnp.clip((own + least) / (other + least), 1 / _RATIO, _RATIO)
+    least, depth = 1e-4, 1 / jnp.where(own.inverse > 0, own.inverse, 1)
+    tau, other = (jnp.maximum(1 - depth * at, 0) + least for at in (own.image, image))
+    return jnp.clip(tau / other, 1 / _RATIO, _RATIO)
 
 
 def over_tiles(tile: Callable[[Array, Array], Float[Array, "4 r c"]], active: Bool[Array, "ty tx"]) -> Values:

@@ -49,10 +49,10 @@ class Params(eqx.Module):
         4.0, 0.0, 10.0, "Widening of the view for rough surfaces: tangent of the half vector's angle, in alphas."
     )
     grain: Float[Array, ""] = tunable(
-        0.1, 0.0, 2.0, "Smallest texel for rough surfaces, as a slope, in alphas: lobes blur what is finer."
+        0.05, 0.0, 2.0, "Smallest texel for rough surfaces, as a slope, in alphas: lobes blur what is finer."
     )
     known: Float[Array, ""] = tunable(
-        0.75, 0.0, 1.0, "Share of a rough pixel's rays below which, with an answer, it counts as hidden."
+        0.9, 0.0, 1.0, "Share of a rough pixel's rays below which, with an answer, it counts as hidden."
     )
     fade: Float[Array, ""] = tunable(
         0.1, 0.001, 10.0, "Alpha at which the far plane comes half as near (far = glossiness)."

@@ -27,7 +27,7 @@ class Options(TraceOptions):
     """Static knobs: those of tracing and of the two searches."""
 
     search: int = option(0, "Pixels of the disk searched for the nearest reflected point; 0: its own.", low=0, high=256)
-    radius: int = option(4, "Pixels to either side that are averaged; wider cones use coarser layers.", low=1, high=128)
+    radius: int = option(6, "Pixels to either side that are averaged; wider cones use coarser layers.", low=1, high=128)
     layers: int = option(10, "Most layers of the pyramid, the image included.", low=1, high=16)
 
 

@@ -34,7 +34,7 @@ class Options(TraceOptions):
         "How the filter is evaluated: a window of pixels, or passes along lines.",
         choices=("window", "separable", "four_pass"),
     )
-    radius: int = option(4, "Pixels or taps to either side; wider footprints use coarser layers.", low=1, high=128)
+    radius: int = option(6, "Pixels or taps to either side; wider footprints use coarser layers.", low=1, high=128)
     layers: int = option(10, "Most layers of the pyramid, the image included.", low=1, high=16)
     taps: str = option("nearest", "Where passes read.", choices=("nearest", "linear"))
     spread: bool = option(True, "Let neighbours count as their own distance says, not as the pixel's does.")
