@@ -219,9 +219,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
     parser.add_argument("--gloss", nargs="+", metavar="SCENE", help="instead: the gloss filter, and errors in scenes")
     parser.add_argument("--clusters", nargs="+", metavar="SCENE", help="instead: clusters of mirror rays")
-    parser.add_argument("--part", default="all",
-                        choices=("errors", "times", "knobs", "growth", "flat", "rough", "all"),
-                        help="which tables (--temporal, --clusters: all but flat; --gloss: flat, errors, knobs)")  # fmt: skip
+    parts = ("errors", "times", "knobs", "growth", "flat", "rough", "all")
+    help_part = "which tables (--temporal: the first four; --clusters: and rough; --gloss: flat, errors, knobs)"
+    parser.add_argument("--part", default="all", choices=parts, help=help_part)
     parser.add_argument("--side", type=int, default=1024, help="width and height of images (--temporal, --clusters)")
     parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal, --clusters)")
     parser.add_argument("--loop", type=int, default=240, help="frames of a whole loop: motion per frame (--temporal)")

@@ -31,8 +31,10 @@ class NoRays:
 
     rays = 0
 
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(f"{name}: this frame is rendered without rays")
+    def _none(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError("this frame is rendered without rays, and something asked for one")
+
+    closest = closest_rows = occluded = _none
 
 
 def under_a_plain_sky(scene: Scene) -> Scene:
@@ -156,7 +158,8 @@ def rasteriser(triangles: tuple[int, ...], side: int, *, runs: int = 5) -> Rows:
             differ = (hits.valid != truth.valid) | (hits.triangle != truth.triangle)
             faces = int(scene.mesh.faces.shape[0])
             rows.append({
-                "triangles": faces, "side": size, "raster ms": drawn, "Embree's rays ms": cast, "Embree's build ms": build,
+                "triangles": faces, "side": size, "raster ms": drawn, "Embree's rays ms": cast,
+                "Embree's build ms": build,
                 "raster ns per triangle": 1e6 * drawn / faces, "raster ns per pixel": 1e6 * drawn / size**2,
                 "other triangle %": 100 * float(differ.mean()),
             })  # fmt: skip

@@ -27,6 +27,7 @@ from jaxrefl.techniques.clusters.cluster import Mirrors, describe, mirrors_of
 from jaxrefl.techniques.clusters.eye import displacement, mirrored_eye, nearest_point
 from jaxrefl.techniques.clusters.label import label_pixels
 from jaxrefl.techniques.clusters.traverse import follow, project_rays
+from pipelines.bench_raster import NoRays
 
 KINDS = ("split", "octahedral", "spherical")
 SIZE = (64, 48)
@@ -383,8 +384,9 @@ def test_what_is_disoccluded_is_found(ball_room: Frame):
     image, info = run(clusters, ball_room, repair="none", capacity=6)
     shown = np.asarray(truth.valid)
     wrong = shown & (np.asarray(norm(image.p - truth.p)) > 0.05 * np.asarray(truth.t + ball_room.gbuffer.t))
+    wrong = wrong | (shown & ~np.asarray(image.valid))
     marked = np.asarray(info.found) >= Found.PASSED
-    assert (wrong & ~marked).sum() < 0.04 * shown.sum() and (wrong & marked).sum() > 0.05 * shown.sum()
+    assert (wrong & ~marked).sum() < 0.05 * shown.sum() and (wrong & marked).sum() > 0.05 * shown.sum()
 
 
 def test_cutting_clusters_makes_no_seams(ball_room: Frame):
@@ -451,7 +453,7 @@ def test_concave_reflectors_meet_themselves(concave: str):
     """Rays that meet the bowl again: seen as any other thing, or as its own pixels, unless they are ignored."""
     frame = room(bowl())
     truth, _ = run(raytrace, frame)
-    image, info = run(clusters, frame, concave=concave, repair="none")
+    image, _ = run(clusters, frame, concave=concave, pitch="ends", texels=3000, repair="none")
     mirrors, found, *_ = clusters_of(frame)
     inner = np.asarray(found.concave)[np.maximum(np.asarray(found.label), 0)] & np.asarray(mirrors.valid)
     assert inner.mean() > 0.05
@@ -464,12 +466,6 @@ def test_concave_reflectors_meet_themselves(concave: str):
 
 def test_deforming_meshes_need_no_tracer():
     """With rasterised depth images and light that casts no shadows nothing asks for rays."""
-
-    class NoRays:
-        rays = 0
-
-        def __getattr__(self, name):
-            raise AssertionError(f"a ray was asked for: {name}")
 
     frame = room()
     cast, _ = run(clusters, frame, maker="raster", repair="none")

@@ -26,6 +26,8 @@ FAR_SLOPE = 10.0
 """Largest slope at which a far end may be seen, 84 degrees off the axis; clusters with rays beyond have no camera."""
 LOBE_SLOPE = 3.0
 """Slope up to which a view is widened for rough lobes, 72 degrees off the axis."""
+_FINEST = 4
+"""How much finer texels may be than the images of pixels themselves, where their rays' far ends lie closer together."""
 MARGIN = 2
 """Texels around what the rays need: for reading between texels, and so that neighbouring clusters overlap."""
 
@@ -76,7 +78,8 @@ def cluster_cameras(
     Source: [WXKP14] §3.3.
     Differs from the source: with `axis = "rays"` the image plane faces the mean ray, not the mean normal, so that
         texels are as even as pixels on slanted mirrors too; with `near = "behind"` the clipping plane of a curved
-        cluster stands across the axis before the first of its points, so that no ray starts or goes behind it.
+        cluster stands across the axis before the first of its points, so that no ray starts or goes behind it. With
+        `pitch = "ends"` texels are finer where an eye stands close behind a cluster that gathers its rays.
     """
     capacity, label = clusters.pixels.shape[0], clusters.label
     eye = _place_eye(camera, mirrors, clusters, diameter, options)
@@ -103,7 +106,10 @@ def cluster_cameras(
     low = jnp.minimum(smallest(label, near, capacity), smallest(label, far, capacity))
     high = jnp.maximum(largest(label, near, capacity), largest(label, far, capacity))
     low, high = _widened(low, high, clusters, params)
-    pixel = _pitch(camera, label, near, z, mirrors, capacity, shape)
+    steps = [_spacing(label, ends, capacity, shape) for ends in (near, far)]
+    single = largest(label, mirrors.t / jnp.where(used, z, 1), capacity) / camera.focal[0]
+    pixel = steps[0] if options.pitch == "near" else jnp.clip(steps[1], steps[0] / _FINEST, steps[0])
+    pixel = jnp.where(pixel > 0, pixel, jnp.where(single > 0, single, 1))
     pitch = jnp.maximum(pixel, params.grain * clusters.alpha) / params.resolution
 
     extent = jnp.where(usable[:, None], high - low, 0)
@@ -186,15 +192,13 @@ def _widened(low: Array, high: Array, clusters: Clusters, params: Params) -> tup
     return jnp.where(rough, -wider(-low), low), jnp.where(rough, wider(high), high)
 
 
-def _pitch(
-    camera: Camera, label: Array, near: Array, z: Array, mirrors: Mirrors, capacity: int, shape: tuple[int, int]
-) -> Float[Array, "c"]:
-    """Mean distance between the images of pixels that are neighbours in the viewer's image, as slopes.
+def _spacing(label: Array, places: Array, capacity: int, shape: tuple[int, int]) -> Float[Array, "c"]:
+    """Mean distance between the images of pixels that are neighbours in the viewer's image, as slopes; 0 for none.
 
     Source: [WXKP14] §3.3, step 5.
     """
     total, pairs = jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32)
-    labels, places = label.reshape(shape), near.reshape(*shape, 2)
+    labels, places = label.reshape(shape), places.reshape(*shape, 2)
     for axis in (0, 1):
         here, there = (jax.lax.slice_in_dim(labels, a, b, axis=axis) for a, b in ((0, -1), (1, None)))
         step = jnp.diff(places, axis=axis)
@@ -202,9 +206,7 @@ def _pitch(
         both = jnp.where(here == there, here, -1).reshape(-1)
         total = total + sums(both, length, capacity)
         pairs = pairs + sums(both, jnp.ones_like(length), capacity)
-    pixel = largest(label, mirrors.t / jnp.where(label >= 0, z, 1), capacity) / camera.focal[0]
-    mean = total / jnp.maximum(pairs, 1)
-    return jnp.where(mean > 0, mean, jnp.where(pixel > 0, pixel, 1))
+    return total / jnp.maximum(pairs, 1)
 
 
 def _sizes(extent: Array, pitch: Array, usable: Array) -> Int[Array, "c 2"]:

@@ -75,6 +75,11 @@ class Options(TraceOptions):
         choices=("nearest", "equation", "fit"),
     )
     axis: str = option("rays", "Where they look: along the mean ray, or the mean normal.", choices=("rays", "normal"))
+    pitch: str = option(
+        "near",
+        "How fine their texels are: as pixels' near ends are seen, or as fine as their far ends if those are closer.",
+        choices=("near", "ends"),
+    )
     near: str = option(
         "behind", "Where they begin to see: behind all of the cluster, or at its centre.", choices=("behind", "centre")
     )
