@@ -122,8 +122,8 @@ def counts_of(found: Int[Array, "h w"]) -> dict[str, Int[Array, ""]]:
     Args:
         found: A `Found` code per pixel.
     Returns:
-        `found_surface`, `found_sky`, `passed`, `hidden` and `without_camera`.
+        `found_surface`, `found_sky`, `passed`, `hidden`, `without_camera` and `outside`.
     """
     names = {"found_surface": Found.SURFACE, "found_sky": Found.SKY, "passed": Found.PASSED,
-             "hidden": Found.HIDDEN, "without_camera": Found.NO_CAMERA}  # fmt: skip
+             "hidden": Found.HIDDEN, "without_camera": Found.NO_CAMERA, "outside": Found.OUTSIDE}  # fmt: skip
     return {name: (found == int(code)).sum() for name, code in names.items()}

@@ -97,7 +97,8 @@ def step(
         "texels": cameras.texels,
         "shrunk": float(cameras.shrunk),
         **{name: int(count) for name, count in pixels.items()},
-        "disoccluded": sum(int(pixels[n]) for n in ("passed", "hidden", "without_camera")) / max(reflective, 1),
+        "disoccluded": sum(int(pixels[n]) for n in ("passed", "hidden", "without_camera", "outside"))
+        / max(reflective, 1),
         "steps": float(found.steps.sum()) / max(reflective, 1),
         "traced_pixels": traced,
     }

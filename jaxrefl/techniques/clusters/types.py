@@ -25,10 +25,10 @@ class Found(enum.IntEnum):
     """On a surface, or out of the scene, after it had passed behind something: what is there is a guess."""
     HIDDEN = 4
     """It was last seen going behind something: disoccluded."""
-    OUTSIDE = 6
-    """A ray of a rough surface that left the depth image by its border."""
     NO_CAMERA = 5
     """Its cluster has no camera: too few pixels, or too wide for a pinhole."""
+    OUTSIDE = 6
+    """A ray of a rough surface that left the depth image by its border."""
 
 
 class Params(eqx.Module):
