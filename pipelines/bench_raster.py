@@ -52,17 +52,21 @@ def under_a_plain_sky(scene: Scene) -> Scene:
 
 
 @jax.jit
-def waved(mesh: Mesh, phase: Array, size: Array) -> Mesh:
-    """A mesh with a wave running through it.
+def waved(scene: Scene, phase: Array) -> Mesh:
+    """A scene's mesh with a wave running through everything that does not reflect.
 
     Args:
-        mesh: The mesh at rest.
+        scene: The scene at rest.
         phase: Of the wave, radians.
-        size: Diagonal of the scene, world units.
     Returns:
         The mesh with its vertices moved by up to a thousandth of the diagonal; normals stay as they are.
     """
-    wave = jnp.sin(40 * mesh.vertices[:, [1, 2, 0]] / size + phase)
+    mesh, size = scene.mesh, jnp.linalg.norm(scene.upper - scene.lower)
+    dull = ((scene.materials.metallic == 0) & (scene.materials.eta == 1))[mesh.material]
+    moves = (
+        jnp.zeros(mesh.vertices.shape[0], bool).at[mesh.faces].max(jnp.broadcast_to(dull[:, None], mesh.faces.shape))
+    )
+    wave = jnp.where(moves[:, None], jnp.sin(40 * mesh.vertices[:, jnp.array([1, 2, 0])] / size + phase), 0)
     return dataclasses.replace(mesh, vertices=mesh.vertices + 1e-3 * size * wave)
 
 
@@ -80,12 +84,11 @@ def deforming(triangles: tuple[int, ...], side: int, *, frames: int = 3) -> Rows
     for count in triangles:
         rest = under_a_plain_sky(assemble(scenes.build(SCENE, triangles=count)))
         camera = resize(scenes.BUILT_IN[SCENE].path(1, size=(side, side))[0], (side, side))
-        size = jnp.linalg.norm(rest.upper - rest.lower)
         options = clusters.Options(maker="raster", repair="none")
         total = {"build": 0.0, "trace": 0.0, "static": 0.0, "clusters": 0.0}
         error = 0.0
         for number in range(frames + 1):
-            mesh = jax.block_until_ready(waved(rest.mesh, jnp.float32(number), size))
+            mesh = jax.block_until_ready(waved(rest, jnp.float32(number)))
             scene = dataclasses.replace(rest, mesh=mesh)
             key = jax.random.key(number)
             began = time.perf_counter()
