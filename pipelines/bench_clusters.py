@@ -52,6 +52,7 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "maker": ("rays", "raster"),
 }
 """Knobs and the values they are tried with, one at a time: the paper's Tables 3 and 5 among them."""
+_COUNTS = ("clusters", "texels", "steps", "traced_pixels", "reflective_pixels")
 RAYS = (8, 49)
 """Rays per rough pixel, as in the paper."""
 TRUTH_RAYS = 256
@@ -140,7 +141,8 @@ def row_of(label: str, name: str, knobs: dict[str, Any], taken: list[Shot]) -> d
         frame_errors.append(frame_error)
         errors.append(error)
         wrong.append(_missed(shot, image))
-    mean = lambda key: statistics.fmean(float(c[key]) for c in counts) if key in counts[0] else None  # noqa: E731
+    known = {k: statistics.fmean(float(c[k]) for c in counts) for k in ("disoccluded", *_COUNTS) if k in counts[0]}
+    mean = known.get
     share = mean("disoccluded")
     traced = statistics.fmean(s.seconds for s in taken)
     return {
@@ -150,7 +152,7 @@ def row_of(label: str, name: str, knobs: dict[str, Any], taken: list[Shot]) -> d
         "marked %": None if share is None else 100 * share,
         "wrong %": 100 * statistics.fmean(wrong),
         "clusters": mean("clusters"),
-        "texels per pixel": None if mean("texels") is None else mean("texels") / max(mean("reflective_pixels"), 1),
+        "texels per pixel": known["texels"] / max(known["reflective_pixels"], 1) if "texels" in known else None,
         "steps per pixel": mean("steps"),
         "traced pixels": mean("traced_pixels"),
         "ms": 1e3 * statistics.fmean(seconds),

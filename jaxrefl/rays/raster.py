@@ -7,6 +7,7 @@ the same depth the one with the smaller number. Loops run as often as there is s
 """
 
 import functools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
@@ -86,7 +87,7 @@ class _Groups(NamedTuple):
     object: Int[Array, "g k"]
     group: Int[Array, "p"]
     view: Int[Array, "p"]
-    count: Int[Array, ""]
+    pairs: Int[Array, ""]
 
 
 @functools.partial(jax.jit, static_argnames="room")
@@ -98,7 +99,7 @@ def _draw(corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views
         at = number * _PAIRS + jnp.arange(_PAIRS, dtype=jnp.int32)
         group = jax.lax.dynamic_slice_in_dim(groups.group, number * _PAIRS, _PAIRS)
         view = jax.lax.dynamic_slice_in_dim(groups.view, number * _PAIRS, _PAIRS)
-        rows, boxes = _project(groups, views, group, view, at < groups.count)
+        rows, boxes = _project(groups, views, group, view, at < groups.pairs)
         area = boxes[:, 2] * boxes[:, 3]
         ends = jax.lax.associative_scan(jnp.add, area)
         triangle = (group[:, None] * GROUP + jnp.arange(GROUP, dtype=jnp.int32)[None, :]).reshape(-1)
@@ -111,7 +112,7 @@ def _draw(corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views
         return jax.lax.while_loop(lambda state: state[0] < ends[-1], fragments, state)[1]
 
     image = (jnp.zeros(room, jnp.float32), jnp.full(room, none, jnp.int32))
-    _, winner = jax.lax.fori_loop(0, (groups.count + _PAIRS - 1) // _PAIRS, pairs, image)
+    _, winner = jax.lax.fori_loop(0, (groups.pairs + _PAIRS - 1) // _PAIRS, pairs, image)
     return jnp.where(winner == none, -1, winner)
 
 
@@ -126,13 +127,13 @@ def _cull(corners: Array, objects: Array, views: Views) -> _Groups:
     radius = jnp.sqrt((extent * extent).sum(-1))
 
     offset = [centre[:, None, i] - views.eye[None, :, i] for i in range(3)]
-    x, y, z = (sum(offset[i] * views.axes[None, :, a, i] for i in range(3)) for a in range(3))
+    x, y, z = (_total(offset[i] * views.axes[None, :, a, i] for i in range(3)) for a in range(3))
     far = views.low + views.pitch * views.size.astype(views.pitch.dtype)
     shown = (views.size[:, 0] > 0)[None, :]
     for lateral, axis in ((x, 0), (y, 1)):
         for edge, sign in ((views.low[None, :, axis], 1.0), (far[None, :, axis], -1.0)):
             shown = shown & (sign * (lateral - edge * z) >= -radius[:, None] * jnp.sqrt(1 + edge * edge))
-    ahead = sum(centre[:, None, i] * views.clip[None, :, i] for i in range(3)) + views.clip[None, :, 3]
+    ahead = _total(centre[:, None, i] * views.clip[None, :, i] for i in range(3)) + views.clip[None, :, 3]
     shown = shown & (ahead >= -radius[:, None])
 
     # View by view, so that neighbouring pairs write to the same part of the list of texels.
@@ -159,12 +160,12 @@ def _project(
     low, pitch, size = views.low[view], views.pitch[view], views.size[view]
     corner = groups.corner[group]
     offset = [corner[..., i] - eye[:, None, None, i] for i in range(3)]
-    x, y, z = (sum(offset[i] * axes[:, None, None, a, i] for i in range(3)) for a in range(3))
+    x, y, z = (_total(offset[i] * axes[:, None, None, a, i] for i in range(3)) for a in range(3))
     x, y = ((v - low[:, None, None, i] * z) / pitch[:, None, None, i] for i, v in enumerate((x, y)))
     side = jnp.where(_triple(x, y, z) < 0, 1, 2)
     own = groups.object[group] == views.own[view][:, None]
     plane = views.clip[view]
-    above = (sum(corner[..., i] * plane[:, None, None, i] for i in range(3)) + plane[:, None, None, 3]).max(-1) > 0
+    above = (_total(corner[..., i] * plane[:, None, None, i] for i in range(3)) + plane[:, None, None, 3]).max(-1) > 0
     drawn = real[:, None] & above & ~(own & (views.unseen[view][:, None] & side > 0)) & (z.max(-1) > 0)
 
     first, last = _bounds((x, y), z, size)
@@ -178,9 +179,9 @@ def _project(
         a, b, c = _cross(x, y, z, j, k)
         edges.append((a * sign, b * sign, c * sign + _SLACK * (jnp.abs(a) + jnp.abs(b))))
     plain = [_cross(x, y, z, j, k) for j, k in ((1, 2), (2, 0), (0, 1))]
-    depth = [sum(e[i] for e in plain) * inverse for i in range(3)]
-    n = [sum(plane[:, i] * axes[:, a, i] for i in range(3)) for a in range(3)]
-    level = sum(plane[:, i] * eye[:, i] for i in range(3)) + plane[:, 3]
+    depth = [_total(e[i] for e in plain) * inverse for i in range(3)]
+    n = [_total(plane[:, i] * axes[:, a, i] for i in range(3)) for a in range(3)]
+    level = _total(plane[:, i] * eye[:, i] for i in range(3)) + plane[:, 3]
     slope = [low[:, None, i] + pitch[:, None, i] * first[i].astype(low.dtype) for i in range(2)]
     clip = (
         n[0][:, None] * pitch[:, None, 0] + level[:, None] * depth[0],
@@ -213,6 +214,12 @@ def _bounds(xy: tuple[Array, Array], z: Array, size: Array) -> tuple[list[Array]
         first.append(jnp.ceil(jnp.clip(least - 0.5 - _SLACK, 0, limit)).astype(jnp.int32))
         last.append(jnp.floor(jnp.clip(greatest - 0.5 + _SLACK, -1, limit - 1)).astype(jnp.int32))
     return first, last
+
+
+def _total(terms: Iterable[Array]) -> Array:
+    """Sum of three arrays."""
+    a, b, c = terms
+    return a + b + c
 
 
 def _cross(x: Array, y: Array, z: Array, j: int, k: int) -> tuple[Array, Array, Array]:
