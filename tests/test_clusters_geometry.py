@@ -1,0 +1,282 @@
+"""Clusters of mirror rays: bins, eyes and cameras, and the walk through depth images."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cluster_rooms import KINDS, checks, clusters_of, frame_of, room, run
+from hypothesis import given
+from hypothesis import strategies as st
+from reference import clusters as slow
+from shapes import QUAD, ball, floor
+
+from jaxrefl._types import Frame, Rays
+from jaxrefl.core import look_at
+from jaxrefl.core.safe import norm
+from jaxrefl.rays import seen_by
+from jaxrefl.rays.views import Views
+from jaxrefl.scene.description import Part, mirror
+from jaxrefl.surface import look, reflective
+from jaxrefl.techniques import clusters
+from jaxrefl.techniques.clusters import Found, Options, Params
+from jaxrefl.techniques.clusters.bins import AZIMUTHS, POLARS, SIDE, octahedral_bin, spherical_bin
+from jaxrefl.techniques.clusters.cameras import cluster_cameras
+from jaxrefl.techniques.clusters.cluster import Mirrors, describe
+from jaxrefl.techniques.clusters.eye import displacement, mirrored_eye, nearest_point
+from jaxrefl.techniques.clusters.traverse import follow, project_rays
+
+
+@pytest.fixture(scope="module")
+def ball_room() -> Frame:
+    return room()
+
+
+# Bins
+
+
+@given(x=st.floats(-1, 1, width=16), y=st.floats(-1, 1, width=16), z=st.floats(-1, 1, width=16))
+def test_spherical_bins_are_those_of_the_paper(x: float, y: float, z: float):
+    n = np.array([x, y, z]) + [0, 0, 1e-3]
+    n = n / np.linalg.norm(n)
+    found = int(spherical_bin(jnp.asarray(n, jnp.float32), jnp.float32(1)))
+    column, row = slow.spherical_bin(n, AZIMUTHS, POLARS)
+    if found != row * AZIMUTHS + column:  # within rounding of the edge of a bin
+        around, down = np.degrees(np.arctan2(n[2], n[0])) % 360 * AZIMUTHS / 360, np.arccos(n[1]) * POLARS / np.pi
+        assert min(abs(around - round(around)), abs(down - round(down))) < 1e-4
+
+
+def test_octahedral_bins_have_one_size():
+    rng = np.random.default_rng(0)
+    n = rng.normal(size=(400_000, 3))
+    n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    count = np.bincount(octahedral_bin(jnp.asarray(n, jnp.float32), jnp.ones(len(n))), minlength=SIDE * SIDE)
+    assert len(count) == SIDE * SIDE
+    assert np.abs(count / 4000 - 1).max() < 0.08  # 4 standard deviations of a count of 4000 are 0.063
+    spherical = np.bincount(spherical_bin(jnp.asarray(n, jnp.float32), jnp.ones(len(n))))
+    assert spherical.max() > 4 * spherical[spherical > 0].min()  # what they are for
+
+
+def test_one_sphere_over_the_whole_frame_has_the_papers_52_clusters():
+    """13 x 8 bins, of which half are visible, if its pole lies on the outline; one row more or less at the outline."""
+    sphere = frame_of([ball("b", mirror("m"))], eye=(0, 0, 40), target=(0, 0, 0), size=(96, 96))
+    tight = dataclasses.replace(sphere.camera, focal=sphere.camera.focal * 16)
+    tight = dataclasses.replace(sphere, camera=tight, gbuffer=look(sphere.scene, sphere.tracer, tight))
+    share = float(reflective(tight.gbuffer).mean())
+    assert share > 0.6
+    _, found, *_ = clusters_of(tight, Params(exponent=0.0), clusters="spherical")
+    assert 48 <= int((found.pixels > 0).sum()) <= 60
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_mirror_pixel_has_a_cluster_of_its_own_reflector(kind: str, ball_room: Frame):
+    mirrors, found, _, _ = clusters_of(ball_room, clusters=kind)
+    valid, label = np.asarray(mirrors.valid), np.asarray(found.label)
+    assert (label[valid] >= 0).all() and (label[~valid] == -1).all()
+    assert (np.asarray(found.object)[label[valid]] == np.asarray(mirrors.object)[valid]).all()
+    assert int(found.pixels.sum()) == valid.sum()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_too_many_clusters_are_merged_and_counted(kind: str, ball_room: Frame):
+    mirrors, found, cameras, wanted = clusters_of(ball_room, clusters=kind, capacity=3)
+    assert wanted > 3 and int(found.pixels.sum()) == int(mirrors.valid.sum())
+    _, info = run(clusters, ball_room, clusters=kind, capacity=3)
+    assert info.counts["merged"] > 0 and info.counts["clusters"] <= 3
+
+
+def test_a_plane_is_one_cluster_and_parallel_planes_are_not(ball_room: Frame):
+    def stair(steps: int) -> list[Part]:
+        parts = [np.array([[-1, 0.2 * i, -i], [-1, 0.2 * i, -i + 1], [1, 0.2 * i, -i + 1], [1, 0.2 * i, -i]])
+                 for i in range(steps)]  # fmt: skip
+        faces = np.concatenate([QUAD + 4 * i for i in range(steps)])
+        return [Part("stair", np.concatenate(parts), faces, mirror("m")), *checks("back", z=-6)]
+
+    for kind in KINDS:
+        for steps in (1, 3):
+            frame = frame_of(stair(steps), eye=(0, 3, 4), target=(0, 0, -1))
+            _, found, *_ = clusters_of(frame, clusters=kind)
+            assert int((found.pixels > 0).sum()) == steps and int(found.planar.sum()) == steps, kind
+
+
+# Eyes and cameras
+
+
+def test_equation_1_makes_near_and_far_ends_look_alike():
+    """Diverging rays in a plane: the equation's eye sees both extents alike, as similar triangles say."""
+    behind, near, spread, reach = 2.0, 0.5, 30.0, 10.0
+    far = spread * behind / (behind + reach)
+    f = float(displacement(jnp.float32(near), jnp.float32(far), jnp.float32(spread)))
+    np.testing.assert_allclose(f * behind, slow.displacement(near, spread, reach), rtol=1e-5)
+
+
+@given(values=st.tuples(*[st.floats(0, 1e4, width=32, allow_subnormal=False)] * 3))
+def test_equation_1_is_safe(values):
+    f, slopes = jax.value_and_grad(displacement, (0, 1, 2))(*(jnp.float32(v) for v in values))
+    assert 0 < float(f) <= 4 and all(np.isfinite(s) for s in slopes)
+
+
+def test_equation_1_leaves_planes_and_single_pixels_alone():
+    one = jnp.float32(1)
+    assert float(displacement(one, one, 5 * one)) == 1 and float(displacement(0 * one, 0 * one, 0 * one)) == 1
+
+
+def test_a_planar_cluster_has_the_viewers_mirror_image_as_its_eye():
+    frame = frame_of([floor("m", mirror("m")), *checks("back")])
+    for way in ("nearest", "equation", "fit"):
+        mirrors, found, cameras, _ = clusters_of(frame, eye=way)
+        assert int((found.pixels > 0).sum()) == 1 and bool(found.planar[0])
+        eye = np.asarray(frame.camera.world_from_camera)[:3, 3] * [1, -1, 1]
+        np.testing.assert_allclose(cameras.views.eye[0], eye, atol=1e-5)
+        free = nearest_point(mirrors, found, mirrored_eye(found, frame.camera.world_from_camera[:3, 3]))
+        np.testing.assert_allclose(free[0], eye, atol=2e-3)  # least squares in float32
+
+
+def test_the_fitted_eye_is_no_worse_than_the_equations(ball_room: Frame):
+    """Of eyes on one line the fit has the least squared disparity; the nearest point may lie beside that line."""
+    total = {}
+    for way in ("equation", "fit", "nearest"):
+        mirrors, found, cameras, _ = clusters_of(ball_room, eye=way, clusters="octahedral")
+        valid, view = found.label >= 0, jnp.maximum(found.label, 0)
+        lines, _ = project_rays(cameras.views, view, Rays(mirrors.p, mirrors.wi), cameras.reach[view])
+        pixels = (lines.end - lines.start) * cameras.views.pitch[view]
+        usable = np.asarray(valid & cameras.usable[view])
+        total[way] = np.median(np.linalg.norm(np.asarray(pixels), axis=-1)[usable])
+    assert total["fit"] <= 1.05 * total["equation"] and total["nearest"] <= 1.05 * total["equation"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("way", ["nearest", "equation", "fit"])
+@pytest.mark.parametrize("axis", ["rays", "normal"])
+def test_every_camera_sees_both_ends_of_all_its_rays(kind: str, way: str, axis: str, ball_room: Frame):
+    mirrors, found, cameras, _ = clusters_of(ball_room, clusters=kind, eye=way, axis=axis)
+    view = jnp.maximum(found.label, 0)
+    usable = np.asarray((found.label >= 0) & cameras.usable[view])
+    far = mirrors.p + mirrors.wi * cameras.reach[view][:, None]
+    assert usable.sum() > 100
+    for end in (mirrors.p, far):
+        assert np.asarray(seen_by(cameras.views, view, end))[usable].all()
+
+
+def degenerate(kind: str) -> Mirrors:
+    """Sixteen pixels that no camera likes."""
+    n = 16
+    rng = np.random.default_rng(1)
+    p, normal = rng.uniform(-1, 1, (n, 3)), np.tile([0.0, 1.0, 0.0], (n, 1))
+    if kind == "one point":
+        p[:] = p[0]
+    if kind == "opposite normals":
+        normal[::2] *= -1
+    if kind == "random normals":
+        normal = rng.normal(size=(n, 3))
+    eye = np.array([0.0, 0.5 if kind == "in the plane" else 3.0, 3.0])
+    if kind == "in the plane":
+        p[:, 1] = 0.5
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    wo = eye - p
+    t = np.linalg.norm(wo, axis=-1)
+    wo = wo / t[:, None]
+    wi = 2 * (wo * normal).sum(-1, keepdims=True) * normal - wo
+    zero = np.zeros(n)
+    fields = (np.ones(n, bool), p, wi, normal, t, zero.astype(int), zero + 1e-6, zero == 0, zero, zero == 1)
+    kinds = (bool, *[np.float32] * 4, np.int32, np.float32, bool, np.float32, bool)
+    return Mirrors(*(jnp.asarray(x, k) for x, k in zip(fields, kinds, strict=True)))
+
+
+@pytest.mark.parametrize("kind", ["one point", "opposite normals", "random normals", "in the plane"])
+@pytest.mark.parametrize("way", ["nearest", "equation", "fit"])
+def test_degenerate_clusters_have_finite_cameras_or_none(kind: str, way: str):
+    mirrors = degenerate(kind)
+    options = Options(eye=way, capacity=4)
+    camera = look_at((0, 0.5 if kind == "in the plane" else 3.0, 3), (0, 0, 0), size=(4, 4))
+    found = describe(mirrors, jnp.zeros(16, jnp.int32), capacity=4)
+    cameras = cluster_cameras(camera, mirrors, found, jnp.float32(10), Params(), options=options, shape=(4, 4))
+    assert all(bool(jnp.isfinite(x).all()) for x in jax.tree.leaves((found, cameras)))
+    assert int((cameras.views.size[:, 0] * cameras.views.size[:, 1]).sum()) <= options.room(16)
+    view = jnp.zeros(16, jnp.int32)
+    if bool(cameras.usable[0]):
+        assert bool(seen_by(cameras.views, view, mirrors.p).all())
+
+
+# The walk through a depth image
+
+
+def depth_image(seed: int, *, smooth: bool):
+    """A view along +z from the origin, of random planes far and near, or of one rising plane."""
+    rng = np.random.default_rng(seed)
+    h, w = 12, 16
+    image = np.zeros((h, w, 3))
+    image[..., 0] = 0.1 if smooth else rng.choice([0.08, 0.1, 0.25], (h, w))
+    if not smooth:
+        image[..., 0] = np.kron(image[::4, ::4, 0], np.ones((4, 4)))
+        image[..., 1:] = np.kron(rng.uniform(-2e-3, 2e-3, (3, 4, 2)), np.ones((4, 4, 1)))
+        column, row = np.meshgrid(np.arange(w) % 4 - 1.5, np.arange(h) % 4 - 1.5)
+        image[..., 0] += image[..., 1] * column + image[..., 2] * row
+    low, pitch = np.array([-0.8, -0.6]), np.array([0.1, 0.1])
+    views = Views(
+        eye=jnp.zeros((1, 3)),
+        axes=jnp.eye(3)[None],
+        low=jnp.asarray(low[None], jnp.float32),
+        pitch=jnp.asarray(pitch[None], jnp.float32),
+        size=jnp.array([[w, h]], jnp.int32),
+        offset=jnp.zeros(1, jnp.int32),
+        clip=jnp.array([[0, 0, 0, 1]], jnp.float32),
+        own=jnp.full(1, -1, jnp.int32),
+        unseen=jnp.zeros(1, jnp.int32),
+    )
+    return image, views, low, pitch
+
+
+def random_rays(seed: int, count: int) -> Rays:
+    rng = np.random.default_rng(seed + 1)
+    origin = np.stack([rng.uniform(-0.5, 0.5, count), rng.uniform(-0.4, 0.4, count), np.full(count, 1.0)], -1)
+    toward = np.stack([rng.uniform(-9, 9, count), rng.uniform(-7, 7, count), np.full(count, 18.0)], -1) - origin
+    toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+    return Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(toward, jnp.float32))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_plane_is_met_exactly(seed: int):
+    image, views, *_ = depth_image(seed, smooth=True)
+    rays, view = random_rays(seed, 200), jnp.zeros(200, jnp.int32)
+    reach = jnp.full(200, 16.0)
+    lines, ahead = project_rays(views, view, rays, reach)
+    found = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=64)
+    inside = np.asarray(seen_by(views, view, rays.origin + rays.direction * reach[:, None]))
+    assert (np.asarray(found.found)[inside] == Found.SURFACE).all() and inside.sum() > 100
+    depth = lines.start_z + (lines.end_z - lines.start_z) * found.share
+    np.testing.assert_allclose(depth[inside], 0.1, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_walk_is_that_of_the_slow_reference(seed: int):
+    """Over disconnected planes: where both find a crossing it is the same, for all but a few thin ones."""
+    image, views, low, pitch = depth_image(seed, smooth=False)
+    count = 60
+    rays, view = random_rays(seed, count), jnp.zeros(count, jnp.int32)
+    lines, ahead = project_rays(views, view, rays, jnp.full(count, 16.0))
+    crossing = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=256)
+    depth = lines.start_z + (lines.end_z - lines.start_z) * crossing.share
+    t = np.asarray(16.0 * crossing.share * lines.end_z / depth)
+    same, both = 0, 0
+    for i in range(count):
+        ray = (np.asarray(rays.origin, np.float64)[i], np.asarray(rays.direction, np.float64)[i])
+        expected = slow.intersect(image, np.zeros(3), *ray, 16.0, low=low, pitch=pitch, steps=4000)
+        hit = int(crossing.found[i]) in (Found.SURFACE, Found.PASSED) and float(crossing.share[i]) < 1
+        if expected is not None and hit:
+            both, same = both + 1, same + (abs(t[i] - expected) < 0.02)
+    assert both >= 15 and same >= 0.8 * both, (same, both)  # steps of a texel may pass the corner of one
+
+
+def test_going_behind_an_edge_is_hidden_and_coming_out_is_passed():
+    image, views, *_ = depth_image(0, smooth=True)
+    image[:, 8:12, 0] = 0.5  # a wall before the plane, at z = 2
+    origin = jnp.array([[0.0, 0.0, 4.0], [-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    target = jnp.array([[1.2, 0.0, 6.0], [1.5, 0.0, 6.0], [7.0, 0.0, 11.0]])
+    rays = Rays(origin, (target - origin) / norm(target - origin)[:, None])
+    view = jnp.zeros(3, jnp.int32)
+    lines, ahead = project_rays(views, view, rays, norm(target - origin))
+    found = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=64).found
+    assert int(found[0]) == Found.HIDDEN  # starts behind the wall and stays there
+    assert int(found[1]) == Found.HIDDEN and int(found[2]) == Found.PASSED
