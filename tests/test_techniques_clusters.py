@@ -110,7 +110,7 @@ def test_rough_floors_blur_with_distance(lobes: str, way: str):
     truth, _ = run(raytrace, frame, samples=256)
     smooth = dataclasses.replace(frame.gbuffer, alpha=jnp.zeros_like(frame.gbuffer.alpha))
     sharp, _ = run(raytrace, dataclasses.replace(frame, gbuffer=smooth))
-    image, info = run(clusters, frame, samples=64, lobes=lobes, glossy=way, repair="none")
+    image, info = run(clusters, frame, samples=64, lobes=lobes, glossy=way, repair="none", texels=2000)
     shown = np.asarray(truth.valid & image.valid)
     error, worst = (np.sqrt(np.mean(np.asarray(x.radiance - truth.radiance)[shown] ** 2)) for x in (image, sharp))
     limit = {("ggx", "rays"): 0.35, ("ggx", "neighbourhood"): 0.7}.get((lobes, way), 0.95)

@@ -42,6 +42,7 @@ from .sequences import pixel_sequences as pixel_sequences
 from .sequences import reverse_bits as reverse_bits
 from .sequences import seed_of as seed_of
 from .sequences import uniform as uniform
+from .shapes import distance_to_triangle as distance_to_triangle
 from .shapes import intersect_plane as intersect_plane
 from .shapes import intersect_sphere as intersect_sphere
 from .shapes import mirror_point as mirror_point

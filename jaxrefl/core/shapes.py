@@ -1,4 +1,4 @@
-"""Lines against spheres and planes, and mirror images of points.
+"""Lines against spheres and planes, points against triangles, and mirror images of points.
 
 Distances are in units of the direction's length; directions are unit vectors wherever a world distance is meant.
 """
@@ -6,8 +6,8 @@ Distances are in units of the direction's length; directions are unit vectors wh
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrefl.core.safe import divide, sqrt
-from jaxrefl.core.vectors import dot
+from jaxrefl.core.safe import divide, norm, sqrt
+from jaxrefl.core.vectors import cross, dot
 
 
 def intersect_sphere(
@@ -69,6 +69,35 @@ def intersect_plane(
     t = divide(dot(plane_point - origin, n), slope, fill=-1.0)
     valid = t >= 0
     return jnp.where(valid, t, 0), valid
+
+
+def distance_to_triangle(
+    p: Float[Array, "*b 3"], a: Float[Array, "*b 3"], b: Float[Array, "*b 3"], c: Float[Array, "*b 3"]
+) -> Float[Array, "*b"]:
+    """Distance of points to triangles.
+
+    Args:
+        p: The points.
+        a: First corner of each triangle.
+        b: Second corner.
+        c: Third corner.
+    Returns:
+        Distance to the nearest point of the triangle, its inside included.
+    Edge cases: a triangle without area is the segment, or the point, that it has become.
+    """
+    normal = cross(b - a, c - a)
+    beside = [dot(cross(end - start, p - start), normal) for start, end in ((a, b), (b, c), (c, a))]
+    squared = dot(normal, normal)
+    above = (beside[0] >= 0) & (beside[1] >= 0) & (beside[2] >= 0) & (squared > 0)
+    height = jnp.abs(divide(dot(p - a, normal), sqrt(squared)))
+    outline = jnp.minimum(jnp.minimum(_to_segment(p, a, b), _to_segment(p, b, c)), _to_segment(p, c, a))
+    return jnp.where(above, height, outline)
+
+
+def _to_segment(p: Array, start: Array, end: Array) -> Float[Array, "*b"]:
+    along = end - start
+    share = jnp.clip(divide(dot(p - start, along), dot(along, along)), 0, 1)
+    return norm(p - start - share[..., None] * along)
 
 
 def mirror_point(

@@ -26,6 +26,8 @@ FAR_SLOPE = 10.0
 """Largest slope at which a far end may be seen, 84 degrees off the axis; clusters with rays beyond have no camera."""
 LOBE_SLOPE = 3.0
 """Slope up to which a view is widened for rough lobes, 72 degrees off the axis."""
+COARSEST = 0.5
+"""Largest slope per texel, 27 degrees; an image of coarser ones shows nothing that rays could be followed through."""
 _FINEST = 4
 """How much finer texels may be than the images of pixels themselves, where their rays' far ends lie closer together."""
 MARGIN = 2
@@ -111,7 +113,7 @@ def cluster_cameras(
     pixel = steps[0] if options.pitch == "near" else jnp.clip(steps[1], steps[0] / _FINEST, steps[0])
     pixel = jnp.where(pixel > 0, pixel, jnp.where(single > 0, single, 1))
     pitch = jnp.maximum(pixel, params.grain * clusters.alpha) / params.resolution
-
+    usable = usable & (pitch <= COARSEST)
     extent = jnp.where(usable[:, None], high - low, 0)
     wanted = _texels(extent, pitch, usable)
     room = options.room(shape[0] * shape[1])

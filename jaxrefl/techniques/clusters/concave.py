@@ -13,7 +13,7 @@ from jaxrefl.rays.views import Views, view_of
 from jaxrefl.techniques.clusters.cluster import Clusters
 from jaxrefl.techniques.clusters.depth_images import planes_seen
 from jaxrefl.techniques.clusters.look_up import Seen
-from jaxrefl.techniques.clusters.traverse import follow, project_rays
+from jaxrefl.techniques.clusters.traverse import distance_along, follow, project_rays
 from jaxrefl.techniques.clusters.types import Found
 
 
@@ -54,8 +54,8 @@ def image_of_concave(camera: Camera, gbuffer: GBuffer, clusters: Clusters, diffu
 
 def meet_cluster(
     itself: SelfImage, rays: Rays, cluster: Int[Array, "n"], active: Bool[Array, "n"], seen: Seen,
-    reach: Float[Array, "n"], *, steps: int,
-) -> Seen:  # fmt: skip
+    found: Int[Array, "n"], reach: Float[Array, "n"], *, steps: int,
+) -> tuple[Seen, Int[Array, "n"]]:  # fmt: skip
     """What rays of concave clusters see of their own cluster, where that is nearer than what they saw otherwise.
 
     Args:
@@ -63,24 +63,25 @@ def meet_cluster(
         rays: Rays [n].
         cluster: Cluster of each.
         active: Which rays count.
-        seen: What they found in the depth images.
+        seen: What they brought back from the depth images.
+        found: How they ended there.
         reach: Their lengths, world units.
         steps: Most steps.
     Returns:
-        `seen`, with the cluster's diffuse light where a ray meets it.
+        `seen`, with the cluster's diffuse light where a ray meets it, and `found`, with `SURFACE` there.
     """
     at = jnp.zeros(cluster.shape, jnp.int32)
     lines, ahead = project_rays(itself.view, at, rays, reach)
     crossing = follow(itself.plane, lines, active & ahead & itself.concave[cluster], steps=steps)
     meets = (crossing.found == int(Found.SURFACE)) & (itself.label[crossing.texel] == cluster)
-    depth = lines.start_z + (lines.end_z - lines.start_z) * crossing.share
-    t = reach * crossing.share * lines.end_z / jnp.where(meets, depth, 1)
+    t = distance_along(lines, crossing.share, reach)
     nearer = meets & (t > 0) & (~seen.hit | (t < seen.t))
     column = nearer[:, None]
-    return Seen(
+    met = Seen(
         radiance=jnp.where(column, itself.diffuse[crossing.texel], seen.radiance),
         known=seen.known | nearer,
         hit=seen.hit | nearer,
         p=jnp.where(column, rays.origin + rays.direction * t[:, None], seen.p),
         t=jnp.where(nearer, t, seen.t),
     )
+    return met, jnp.where(nearer, int(Found.SURFACE), found).astype(jnp.int32)

@@ -38,6 +38,8 @@ class DepthImages(eqx.Module):
     """1 / z at the texel's centre, and its change from texel to texel along x and y; 0 where nothing is seen."""
     radiance: Float[Array, "n 3"]
     """Radiance towards the view's eye; where nothing is seen that of the environment."""
+    triangle: Int[Array, "n"]
+    """Row in `Mesh.faces`; -1 where nothing is seen."""
 
 
 def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthImages:
@@ -54,7 +56,8 @@ def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthI
     room, count = options.room(frame.gbuffer.t.size), int(texel_count(views))
     mesh = frame.scene.mesh
     drawn = draw_triangles(mesh, views, room=room) if options.maker == "raster" else None
-    images = DepthImages(jnp.zeros((room, 3), jnp.float32), jnp.zeros((room, 3), jnp.float32))
+    nothing = lambda: jnp.zeros((room, 3), jnp.float32)  # noqa: E731  each is written in place
+    images = DepthImages(nothing(), nothing(), jnp.full(room, -1, jnp.int32))
     follow = following_mirrors(options)
     key = jax.random.fold_in(frame.key, 1)
     for number, start in enumerate(range(0, count, options.block)):
@@ -130,7 +133,8 @@ def _choose(condition: Bool[Array, "n"], a: Hits, b: Hits) -> Hits:
 
 @jax.jit
 def _texels(views: Views, view: Int[Array, "n"], light: Incoming) -> DepthImages:
-    return DepthImages(planes_seen(views, view, light.p, light.first.n, light.hit), light.radiance)
+    plane = planes_seen(views, view, light.p, light.first.n, light.hit)
+    return DepthImages(plane, light.radiance, jnp.where(light.hit, light.first.triangle, -1))
 
 
 def planes_seen(

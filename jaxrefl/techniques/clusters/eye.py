@@ -178,7 +178,7 @@ def disparity(
     f: Float[Array, ""], centre: Float[Array, "3"], start: Float[Array, "3"], normal: Float[Array, "3"],
     near: Float[Array, "s 3"], far: Float[Array, "s 3"],
 ) -> Float[Array, "s 2"]:  # fmt: skip
-    """How far apart the two ends of rays are seen from an eye, as slopes: what a search along each ray must bridge.
+    """How far apart the two ends of rays are seen on the image plane through P_c: what a search along each must bridge.
 
     Args:
         f: Factor on the eye's distance.
@@ -188,17 +188,18 @@ def disparity(
         near: Near ends.
         far: Far ends.
     Returns:
-        Difference of slopes per ray; for all of a camera's own rays 0.
+        Differences per ray, as a share of e_0's distance to the plane; for all of a camera's own rays 0. Slopes would
+        not do: from far away everything looks small.
     """
     eye = centre + (start - centre) * f
     right, down = frame_from_normal(normal)
 
-    def slope(p: Array) -> Array:
+    def seen(p: Array) -> Array:
         offset = p - jnp.broadcast_to(eye, p.shape)
         z = jnp.maximum(offset @ normal, 1e-3 * f * jnp.abs((start - centre) @ normal))
-        return jnp.stack([offset @ right / z, offset @ down / z], -1)
+        return f * jnp.stack([offset @ right / z, offset @ down / z], -1)
 
-    return slope(far) - slope(near)
+    return seen(far) - seen(near)
 
 
 def fitted_eye(

@@ -12,8 +12,8 @@ from jaxrefl._types import Lights, Rays
 from jaxrefl.radiance import background
 from jaxrefl.rays.views import Views, in_view
 from jaxrefl.techniques.clusters.depth_images import DepthImages
-from jaxrefl.techniques.clusters.traverse import Crossing, Lines
-from jaxrefl.techniques.clusters.types import Found
+from jaxrefl.techniques.clusters.traverse import Crossing, Lines, distance_along
+from jaxrefl.techniques.clusters.types import Found, is_hit
 
 _SAME = 0.02
 """Difference of 1 / z, relative, up to which a neighbouring texel shows the surface that was hit."""
@@ -53,14 +53,13 @@ def look_up(
     Differs from the source: colours do not bleed over the edges of things, and the environment is read along the ray.
     """
     ended = crossing.found
-    hit = (ended == int(Found.SURFACE)) | ((ended == int(Found.PASSED)) & (crossing.share < 1))
+    hit = is_hit(ended, crossing.share)
     sky = (ended == int(Found.SKY)) | ((ended == int(Found.PASSED)) & ~hit)
     at = lines.start + (lines.end - lines.start) * crossing.share[:, None]
     depth = lines.start_z + (lines.end_z - lines.start_z) * crossing.share
     colour = _between(images, lines, crossing, at, depth)
     far = jnp.where(sky[:, None], background(lights, rays.direction), 0)
-    t = reach * crossing.share * lines.end_z / jnp.where(hit, depth, 1)
-    t = jnp.where(hit, t, 0)
+    t = jnp.where(hit, distance_along(lines, crossing.share, reach), 0)
     p = rays.origin + rays.direction * t[:, None]
     return Seen(jnp.where(hit[:, None], colour, far), hit | sky, hit, jnp.where(hit[:, None], p, 0), t)
 

@@ -6,15 +6,17 @@ rays are intersected with that. What the images do not show is traced, or looked
 Source: [WXKP14] §3.1.
 """
 
+import dataclasses
 import time
 
 import jax
 
+from jaxrefl._status import Source
 from jaxrefl._types import Frame, Reflection, Scene, Tracer
 from jaxrefl.core.safe import norm
 from jaxrefl.radiance import diffuse_light
 from jaxrefl.techniques._captured import capture_reflectors
-from jaxrefl.techniques._tracing import following_mirrors
+from jaxrefl.techniques._tracing import following_mirrors, trace_refracted
 from jaxrefl.techniques.clusters.answer import Surroundings, answer
 from jaxrefl.techniques.clusters.cameras import cluster_cameras
 from jaxrefl.techniques.clusters.cluster import describe, mirrors_of
@@ -22,7 +24,6 @@ from jaxrefl.techniques.clusters.concave import image_of_concave
 from jaxrefl.techniques.clusters.depth_images import make_depth_images
 from jaxrefl.techniques.clusters.label import label_pixels
 from jaxrefl.techniques.clusters.look_up import counts_of
-from jaxrefl.techniques.clusters.repair import repaired
 from jaxrefl.techniques.clusters.types import Info, Options, Params, State
 
 
@@ -59,8 +60,9 @@ def step(
         options: Clusters, cameras, depth images, lobes, repair.
     Returns:
         The state, the reflection, and counts: `clusters`, `merged` (clusters there was no room for), `texels`, `shrunk`
-        (their share of those wanted), how the pixels ended, `disoccluded` (share of the reflective pixels whose ray
-        has gone behind something, or whose cluster has no camera), `steps` (per ray), `traced_pixels`.
+        (their share of those wanted), how the pixels ended, `disoccluded` (share of the reflective pixels, or of their
+        rays if they are rough, that no depth image shows to the end), `steps` (per pixel), `traced_pixels` (most of
+        whose rays were traced).
     """
     seconds, cast_before, tick = {}, frame.tracer.rays, time.perf_counter()
 
@@ -85,10 +87,10 @@ def step(
         diffuse = diffuse_light(scene, frame.tracer, frame.gbuffer, frame.key, options=light)
         itself = image_of_concave(camera, frame.gbuffer, clusters, diffuse) if options.concave == "cluster" else None
     fading = diffuse if options.far == "glossiness" else None
-    around = Surroundings(cameras, images, scene.lights, state.maps, itself, fading)
-    found = timed("intersect", answer(frame, label.reshape(shape), around, params, options=options))
-    result, traced = repaired(frame, found, options=options)
-    result = timed("repair", result)
+    around = Surroundings(scene.mesh, scene.lights, cameras, images, state.maps, itself, fading)
+    found = timed("intersect", answer(frame, label.reshape(shape), around, options=options))
+    transmitted = timed("transmit", trace_refracted(frame, options=options))
+    result = dataclasses.replace(found.reflection, transmitted=transmitted)
     reflective, pixels = int(mirrors.valid.sum()), counts_of(found.found)
     counts = {
         "reflective_pixels": reflective,
@@ -97,10 +99,9 @@ def step(
         "texels": cameras.texels,
         "shrunk": float(cameras.shrunk),
         **{name: int(count) for name, count in pixels.items()},
-        "disoccluded": sum(int(pixels[n]) for n in ("passed", "hidden", "without_camera", "outside"))
-        / max(reflective, 1),
+        "disoccluded": float(found.unsure.sum()) / max(reflective, 1),
         "steps": float(found.steps.sum()) / max(reflective, 1),
-        "traced_pixels": traced,
+        "traced_pixels": int((result.source == int(Source.TRACED)).sum()),
     }
     info = Info(frame.tracer.rays - cast_before, seconds, counts, label.reshape(shape), found.found)
     return state, result, info

@@ -92,6 +92,20 @@ def project_rays(
     return Lines(ends[0], ends[1], inverse[0], inverse[1], size, views.offset[view], within), ahead
 
 
+def distance_along(lines: Lines, share: Float[Array, "n"], reach: Float[Array, "n"]) -> Float[Array, "n"]:
+    """How far along their rays points on their images lie.
+
+    Args:
+        lines: Images of the rays.
+        share: Where the points are, from 0 at the near end to 1 at the far end.
+        reach: Lengths of the rays, world units.
+    Returns:
+        World units.
+    """
+    depth = lines.start_z + (lines.end_z - lines.start_z) * share
+    return reach * share * lines.end_z / jnp.where(depth > 0, depth, 1)
+
+
 class _Walk(NamedTuple):
     """Rays on their way."""
 

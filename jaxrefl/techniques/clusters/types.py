@@ -4,7 +4,7 @@ import dataclasses
 import enum
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxrefl.techniques import _shape
 from jaxrefl.techniques._captured import Captured
@@ -31,6 +31,29 @@ class Found(enum.IntEnum):
     """A ray of a rough surface that left the depth image by its border."""
 
 
+def is_hit(found: Int[Array, "*b"], share: Float[Array, "*b"]) -> Bool[Array, "*b"]:
+    """Rays that ended on a surface.
+
+    Args:
+        found: `Found` codes.
+        share: Where they ended, as a share of their length.
+    Returns:
+        True for those seen all the way, and those that had passed behind something.
+    """
+    return (found == int(Found.SURFACE)) | ((found == int(Found.PASSED)) & (share < 1))
+
+
+def is_clean(found: Int[Array, "*b"]) -> Bool[Array, "*b"]:
+    """Rays whose end has been seen all the way.
+
+    Args:
+        found: `Found` codes.
+    Returns:
+        True for those that ended on a surface or left the scene in sight.
+    """
+    return (found == int(Found.SURFACE)) | (found == int(Found.SKY))
+
+
 class Params(eqx.Module):
     """Tunable numbers; none is a length, so scaling a scene changes nothing."""
 
@@ -46,13 +69,10 @@ class Params(eqx.Module):
     resolution: Float[Array, ""] = tunable(1.0, 0.125, 8.0, "Texels of a depth image per pixel, along each side.")
     smallest: Float[Array, ""] = tunable(4.0, 1.0, 4096.0, "Pixels below which a cluster has no depth image.")
     lobe: Float[Array, ""] = tunable(
-        4.0, 0.0, 10.0, "Widening of the view for rough surfaces: tangent of the half vector's angle, in alphas."
+        4.0, 0.0, 10.0, "Widening of the view for GGX lobes: tangent of the half vector's angle, in alphas."
     )
     grain: Float[Array, ""] = tunable(
         0.05, 0.0, 2.0, "Smallest texel for rough surfaces, as a slope, in alphas: lobes blur what is finer."
-    )
-    known: Float[Array, ""] = tunable(
-        0.9, 0.0, 1.0, "Share of a rough pixel's rays below which, with an answer, it counts as hidden."
     )
     fade: Float[Array, ""] = tunable(
         0.1, 0.001, 10.0, "Alpha at which the far plane comes half as near (far = glossiness)."
@@ -112,7 +132,7 @@ class Options(TraceOptions):
     maps: int = option(32, "Most reflectors with an environment map of their own (environment).", low=1, high=1024)
     repair: str = option(
         "trace",
-        "What is done where a depth image has no answer: nothing, an environment map, or a ray.",
+        "What is done about rays without a sure answer: nothing, an environment map, or they are traced.",
         choices=("none", "environment", "trace"),
     )
 
