@@ -16,7 +16,7 @@ from jaxrefl._types import Frame, Hits, Mesh, Rays
 from jaxrefl.core import dot
 from jaxrefl.core.safe import divide
 from jaxrefl.radiance import Incoming, incoming
-from jaxrefl.rays import offset_origin, put_block
+from jaxrefl.rays import blocks_of, offset_origin, put_block
 from jaxrefl.rays.raster import draw_triangles, raster_hits
 from jaxrefl.rays.views import Views, dot_axis, in_view, texel_count, view_rays
 from jaxrefl.surface.interpolate import position
@@ -42,27 +42,27 @@ class DepthImages(eqx.Module):
     """Row in `Mesh.faces`; -1 where nothing is seen."""
 
 
-def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthImages:
+def make_depth_images(frame: Frame, views: Views, needed: Bool[Array, "m"], *, options: Options) -> DepthImages:
     """Render what all views see.
 
     Args:
         frame: Scene, key and tracer.
         views: The views.
-        options: Light, bounces, block size, and `texels`, for which there is room.
+        needed: Which texels to render; nothing is seen at the others.
+        options: Light, bounces and block size.
     Returns:
-        Depth images, of as many texels as there is room for.
+        Depth images.
     Source: [WXKP14] §3.1, step 3b.
     """
-    room, count = options.room(frame.gbuffer.t.size), int(texel_count(views))
+    room, count = needed.shape[0], texel_count(views)
     mesh = frame.scene.mesh
     drawn = draw_triangles(mesh, views, room=room) if options.maker == "raster" else None
     nothing = lambda: jnp.zeros((room, 3), jnp.float32)  # noqa: E731  each is written in place
     images = DepthImages(nothing(), nothing(), jnp.full(room, -1, jnp.int32))
     follow = following_mirrors(options)
     key = jax.random.fold_in(frame.key, 1)
-    for number, start in enumerate(range(0, count, options.block)):
-        texel = jnp.arange(start, start + options.block, dtype=jnp.int32)
-        rays, view, active = _rays(views, texel, jnp.asarray(count, jnp.int32))
+    for number, texel in enumerate(blocks_of(needed, size=options.block)):
+        rays, view, active = _rays(views, texel, count)
         if drawn is None:
             rays, hits = cast_views(frame, rays, view, views, active)
         else:
@@ -77,8 +77,8 @@ def make_depth_images(frame: Frame, views: Views, *, options: Options) -> DepthI
 
 @jax.jit
 def _rays(views: Views, texel: Int[Array, "n"], count: Int[Array, ""]) -> tuple[Rays, Int[Array, "n"], Array]:
-    rays, view, sees = view_rays(views, texel)
-    return rays, view, (texel < count) & sees
+    rays, view, sees = view_rays(views, jnp.maximum(texel, 0))
+    return rays, view, (texel >= 0) & (texel < count) & sees
 
 
 @jax.jit

@@ -24,6 +24,7 @@ from jaxrefl.techniques.clusters.concave import image_of_concave
 from jaxrefl.techniques.clusters.depth_images import make_depth_images
 from jaxrefl.techniques.clusters.label import label_pixels
 from jaxrefl.techniques.clusters.look_up import counts_of
+from jaxrefl.techniques.clusters.needed import needed_texels
 from jaxrefl.techniques.clusters.types import Info, Options, Params, State
 
 
@@ -80,7 +81,9 @@ def step(
     diameter = norm(scene.upper - scene.lower)
     cameras = cluster_cameras(camera, mirrors, clusters, diameter, params, options=options, shape=shape)
     cameras = timed("cameras", cameras)
-    images = timed("images", make_depth_images(frame, cameras.views, options=options))
+    room = options.room(frame.gbuffer.t.size)
+    needed = needed_texels(cameras, clusters, mirrors, room=room, block=options.block)
+    images = timed("images", make_depth_images(frame, cameras.views, needed, options=options))
     diffuse, itself = None, None
     if options.far == "glossiness" or options.concave == "cluster":
         light = following_mirrors(options).light
@@ -96,7 +99,7 @@ def step(
         "reflective_pixels": reflective,
         "clusters": int((clusters.pixels > 0).sum()),
         "merged": max(int(wanted) - options.capacity, 0),
-        "texels": cameras.texels,
+        "texels": int(needed.sum()),
         "shrunk": float(cameras.shrunk),
         **{name: int(count) for name, count in pixels.items()},
         "disoccluded": float(found.unsure.sum()) / max(reflective, 1),
