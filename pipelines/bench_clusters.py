@@ -21,6 +21,7 @@ from jaxrefl.metrics import mae255
 from jaxrefl.radiance import LightOptions, diffuse_light
 from jaxrefl.surface import look, reflective
 from jaxrefl.techniques import TECHNIQUES
+from jaxrefl.techniques.clusters import Options
 from pipelines.bench_raster import deforming, rasteriser
 from pipelines.bench_tables import write
 from pipelines.bench_temporal import Route, open_path
@@ -49,10 +50,15 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "resolution": (0.5, 1.0, 2.0),
     "disparity": (0.05, 0.1, 0.2, 0.4),
     "smallest": (1.0, 4.0, 16.0, 64.0),
+    "near": ("behind", "centre"),
+    "pitch": ("near", "ends"),
+    "concave": ("reflector", "ignore", "cluster"),
     "maker": ("rays", "raster"),
 }
 """Knobs and the values they are tried with, one at a time: the paper's Tables 3 and 5 among them."""
-_COUNTS = ("clusters", "texels", "steps", "traced_pixels", "reflective_pixels")
+_COUNTS = ("disoccluded", "without_camera", "clusters", "texels", "steps", "traced_pixels", "reflective_pixels")
+BYTES = 7 * 4
+"""Per texel: its plane, radiance and triangle."""
 RAYS = (8, 49)
 """Rays per rough pixel, as in the paper."""
 TRUTH_RAYS = 256
@@ -141,15 +147,16 @@ def row_of(label: str, name: str, knobs: dict[str, Any], taken: list[Shot]) -> d
         frame_errors.append(frame_error)
         errors.append(error)
         wrong.append(_missed(shot, image))
-    known = {k: statistics.fmean(float(c[k]) for c in counts) for k in ("disoccluded", *_COUNTS) if k in counts[0]}
+    known = {k: statistics.fmean(float(c[k]) for c in counts) for k in _COUNTS if k in counts[0]}
     mean = known.get
-    share = mean("disoccluded")
+    marked, alone = mean("disoccluded"), known.get("without_camera", 0) / max(known.get("reflective_pixels", 1), 1)
     traced = statistics.fmean(s.seconds for s in taken)
     return {
         "method": label,
         "MAE 255, reflective": statistics.fmean(errors),
         "MAE 255, frame": statistics.fmean(frame_errors),
-        "marked %": None if share is None else 100 * share,
+        "disoccluded %": None if marked is None else 100 * max(marked - alone, 0),
+        "no camera %": None if marked is None else 100 * alone,
         "wrong %": 100 * statistics.fmean(wrong),
         "clusters": mean("clusters"),
         "texels per pixel": known["texels"] / max(known["reflective_pixels"], 1) if "texels" in known else None,
@@ -248,7 +255,10 @@ def resolutions(route: Route, sides: tuple[int, ...]) -> Rows:
     for side in sides:
         taken = shots(Route(route.stage, route.frames[:1]), smooth=True, side=side)
         row = row_of("clusters", "clusters", {"repair": "none"}, taken)
-        rows.append({"side": side, **{k: row[k] for k in ("clusters", "MAE 255, reflective", "ms", "tracing / this")}})
+        shown = {k: row[k] for k in ("clusters", "MAE 255, reflective", "ms", "tracing / this")}
+        pixels = int(np.asarray(reflective(taken[0].frame.gbuffer)).sum())
+        used = {"MB held": Options().room(side * side), "MB rendered": row["texels per pixel"] * pixels}
+        rows.append({"side": side, **shown, **{k: 1e-6 * BYTES * texels for k, texels in used.items()}})
     return rows
 
 
@@ -273,7 +283,7 @@ def rough(route: Route, side: int) -> Rows:
             times[label] = row["ms"]
             rows.append({
                 "rays": count, "method": label, "MAE 255, reflective": row["MAE 255, reflective"],
-                "marked %": row["marked %"], "ms": row["ms"], "tracing / this": times["raytrace"] / row["ms"],
+                "disoccluded %": row["disoccluded %"], "ms": row["ms"], "tracing / this": times["raytrace"] / row["ms"],
             })  # fmt: skip
     return rows
 
