@@ -14,18 +14,16 @@ from shapes import QUAD, ball, floor
 
 from jaxrefl._types import Frame, Rays
 from jaxrefl.core import look_at
-from jaxrefl.core.safe import norm
 from jaxrefl.rays import seen_by
-from jaxrefl.rays.views import Views
 from jaxrefl.scene.description import Part, mirror
 from jaxrefl.surface import look, reflective
 from jaxrefl.techniques import clusters
-from jaxrefl.techniques.clusters import Found, Options, Params
+from jaxrefl.techniques.clusters import Options, Params
 from jaxrefl.techniques.clusters.bins import AZIMUTHS, POLARS, SIDE, octahedral_bin, spherical_bin
 from jaxrefl.techniques.clusters.cameras import cluster_cameras
 from jaxrefl.techniques.clusters.cluster import Mirrors, describe
 from jaxrefl.techniques.clusters.eye import displacement, mirrored_eye, nearest_point
-from jaxrefl.techniques.clusters.traverse import follow, project_rays
+from jaxrefl.techniques.clusters.traverse import project_rays
 
 
 @pytest.fixture(scope="module")
@@ -197,86 +195,3 @@ def test_degenerate_clusters_have_finite_cameras_or_none(kind: str, way: str):
     view = jnp.zeros(16, jnp.int32)
     if bool(cameras.usable[0]):
         assert bool(seen_by(cameras.views, view, mirrors.p).all())
-
-
-# The walk through a depth image
-
-
-def depth_image(seed: int, *, smooth: bool):
-    """A view along +z from the origin, of random planes far and near, or of one rising plane."""
-    rng = np.random.default_rng(seed)
-    h, w = 12, 16
-    image = np.zeros((h, w, 3))
-    image[..., 0] = 0.1 if smooth else rng.choice([0.08, 0.1, 0.25], (h, w))
-    if not smooth:
-        image[..., 0] = np.kron(image[::4, ::4, 0], np.ones((4, 4)))
-        image[..., 1:] = np.kron(rng.uniform(-2e-3, 2e-3, (3, 4, 2)), np.ones((4, 4, 1)))
-        column, row = np.meshgrid(np.arange(w) % 4 - 1.5, np.arange(h) % 4 - 1.5)
-        image[..., 0] += image[..., 1] * column + image[..., 2] * row
-    low, pitch = np.array([-0.8, -0.6]), np.array([0.1, 0.1])
-    views = Views(
-        eye=jnp.zeros((1, 3)),
-        axes=jnp.eye(3)[None],
-        low=jnp.asarray(low[None], jnp.float32),
-        pitch=jnp.asarray(pitch[None], jnp.float32),
-        size=jnp.array([[w, h]], jnp.int32),
-        offset=jnp.zeros(1, jnp.int32),
-        clip=jnp.array([[0, 0, 0, 1]], jnp.float32),
-        own=jnp.full(1, -1, jnp.int32),
-        unseen=jnp.zeros(1, jnp.int32),
-    )
-    return image, views, low, pitch
-
-
-def random_rays(seed: int, count: int) -> Rays:
-    rng = np.random.default_rng(seed + 1)
-    origin = np.stack([rng.uniform(-0.5, 0.5, count), rng.uniform(-0.4, 0.4, count), np.full(count, 1.0)], -1)
-    toward = np.stack([rng.uniform(-9, 9, count), rng.uniform(-7, 7, count), np.full(count, 18.0)], -1) - origin
-    toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
-    return Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(toward, jnp.float32))
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_plane_is_met_exactly(seed: int):
-    image, views, *_ = depth_image(seed, smooth=True)
-    rays, view = random_rays(seed, 200), jnp.zeros(200, jnp.int32)
-    reach = jnp.full(200, 16.0)
-    lines, ahead = project_rays(views, view, rays, reach)
-    found = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=64)
-    inside = np.asarray(seen_by(views, view, rays.origin + rays.direction * reach[:, None]))
-    assert (np.asarray(found.found)[inside] == Found.SURFACE).all() and inside.sum() > 100
-    depth = lines.start_z + (lines.end_z - lines.start_z) * found.share
-    np.testing.assert_allclose(depth[inside], 0.1, rtol=1e-5)
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_walk_is_that_of_the_slow_reference(seed: int):
-    """Over disconnected planes: where both find a crossing it is the same, for all but a few thin ones."""
-    image, views, low, pitch = depth_image(seed, smooth=False)
-    count = 60
-    rays, view = random_rays(seed, count), jnp.zeros(count, jnp.int32)
-    lines, ahead = project_rays(views, view, rays, jnp.full(count, 16.0))
-    crossing = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=256)
-    depth = lines.start_z + (lines.end_z - lines.start_z) * crossing.share
-    t = np.asarray(16.0 * crossing.share * lines.end_z / depth)
-    same, both = 0, 0
-    for i in range(count):
-        ray = (np.asarray(rays.origin, np.float64)[i], np.asarray(rays.direction, np.float64)[i])
-        expected = slow.intersect(image, np.zeros(3), *ray, 16.0, low=low, pitch=pitch, steps=4000)
-        hit = int(crossing.found[i]) in (Found.SURFACE, Found.PASSED) and float(crossing.share[i]) < 1
-        if expected is not None and hit:
-            both, same = both + 1, same + (abs(t[i] - expected) < 0.02)
-    assert both >= 15 and same >= 0.8 * both, (same, both)  # steps of a texel may pass the corner of one
-
-
-def test_going_behind_an_edge_is_hidden_and_coming_out_is_passed():
-    image, views, *_ = depth_image(0, smooth=True)
-    image[:, 8:12, 0] = 0.5  # a wall before the plane, at z = 2
-    origin = jnp.array([[0.0, 0.0, 4.0], [-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
-    target = jnp.array([[1.2, 0.0, 6.0], [1.5, 0.0, 6.0], [7.0, 0.0, 11.0]])
-    rays = Rays(origin, (target - origin) / norm(target - origin)[:, None])
-    view = jnp.zeros(3, jnp.int32)
-    lines, ahead = project_rays(views, view, rays, norm(target - origin))
-    found = follow(jnp.asarray(image.reshape(-1, 3), jnp.float32), lines, ahead, steps=64).found
-    assert int(found[0]) == Found.HIDDEN  # starts behind the wall and stays there
-    assert int(found[1]) == Found.HIDDEN and int(found[2]) == Found.PASSED

@@ -69,6 +69,7 @@ CASES = {
     "frames.to_local": every(VECTORS, UNITS),
     "shapes.intersect_sphere": every(VECTORS[:5], UNITS, VECTORS[:5], (0.0, 1.0, 1e-12)),
     "shapes.intersect_plane": every(VECTORS[:5], UNITS, VECTORS[:5], UNITS),
+    "shapes.distance_to_triangle": every(VECTORS, VECTORS[:4], VECTORS[:4], VECTORS[:4]),
     "shapes.mirror_point": every(VECTORS, VECTORS, UNITS),
     "reflect.reflect": every(UNITS, UNITS),
     "reflect.refract": every(UNITS, UNITS, ETAS),

@@ -152,6 +152,18 @@ class TestShapes:
         t, valid = core.intersect_plane(origin, n, jnp.asarray([5.0, 2, 0]), n)
         assert valid and t == 2
 
+    def test_distance_to_a_triangle_is_that_of_its_nearest_point(self, rng):
+        corners = rng.normal(size=(40, 3, 3)).astype(np.float32)
+        p = (2 * rng.normal(size=(40, 3))).astype(np.float32)
+        u, v = np.meshgrid(np.linspace(0, 1, 201), np.linspace(0, 1, 201))
+        weights = np.stack([1 - u - v, u, v], -1)[u + v <= 1]
+        points = np.einsum("kc,ncd->nkd", weights, corners)
+        slow = np.linalg.norm(points - p[:, None], axis=-1).min(-1)
+        a, b, c = (jnp.asarray(corners[:, i]) for i in range(3))
+        found = np.asarray(core.distance_to_triangle(jnp.asarray(p), a, b, c))
+        np.testing.assert_allclose(found, slow, atol=0.01)
+        assert (found <= slow + 1e-5).all()
+
     @given(with_shape(lambda s: (vectors(s), vectors(s), unit_vectors(s))))
     def test_mirror_twice_is_the_identity(self, case):
         p, point, n = case

@@ -85,13 +85,17 @@ def distance_to_triangle(
         Distance to the nearest point of the triangle, its inside included.
     Edge cases: a triangle without area is the segment, or the point, that it has become.
     """
-    normal = cross(b - a, c - a)
-    beside = [dot(cross(end - start, p - start), normal) for start, end in ((a, b), (b, c), (c, a))]
+    # In units of the largest extent, from the first corner: products of four lengths neither overflow nor vanish.
+    size = jnp.maximum(jnp.maximum(norm(b - a), norm(c - a)), norm(p - a))
+    p, b, c = (divide(x - a, jnp.broadcast_to(size[..., None], x.shape)) for x in (p, b, c))
+    o = jnp.zeros_like(p)
+    normal = cross(b, c)
+    beside = [dot(cross(end - start, p - start), normal) for start, end in ((o, b), (b, c), (c, o))]
     squared = dot(normal, normal)
     above = (beside[0] >= 0) & (beside[1] >= 0) & (beside[2] >= 0) & (squared > 0)
-    height = jnp.abs(divide(dot(p - a, normal), sqrt(squared)))
-    outline = jnp.minimum(jnp.minimum(_to_segment(p, a, b), _to_segment(p, b, c)), _to_segment(p, c, a))
-    return jnp.where(above, height, outline)
+    height = jnp.abs(divide(dot(p, normal), sqrt(squared)))
+    outline = jnp.minimum(jnp.minimum(_to_segment(p, o, b), _to_segment(p, b, c)), _to_segment(p, c, o))
+    return size * jnp.where(above, height, outline)
 
 
 def _to_segment(p: Array, start: Array, end: Array) -> Float[Array, "*b"]:

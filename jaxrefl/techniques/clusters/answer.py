@@ -19,6 +19,7 @@ from jaxrefl.techniques.clusters.cameras import ClusterCameras
 from jaxrefl.techniques.clusters.concave import SelfImage, meet_cluster
 from jaxrefl.techniques.clusters.confirm import confirmed
 from jaxrefl.techniques.clusters.depth_images import DepthImages
+from jaxrefl.techniques.clusters.hierarchy import Pyramid, follow_levels
 from jaxrefl.techniques.clusters.lobes import MIRROR, lobe_rays, mirror_rays
 from jaxrefl.techniques.clusters.look_up import Seen, look_beside, look_up
 from jaxrefl.techniques.clusters.sums import Answer, Sums, add_seen, means_of, no_answer, start_sums
@@ -40,6 +41,8 @@ class Surroundings(eqx.Module):
     """What they see."""
     maps: Captured | None = None
     """Environment maps for rays without an answer; None: they have none."""
+    pyramid: Pyramid | None = None
+    """Bounds of the depth images' planes; None: rays are followed texel by texel."""
     itself: SelfImage | None = None
     """What concave clusters show of themselves; None: nothing special."""
     diffuse: Float[Array, "h w 3"] | None = None
@@ -111,11 +114,15 @@ def _see(rays: Rays, view: Array, active: Array, around: Surroundings, options: 
     cameras, images = around.cameras, around.images
     views, reach = cameras.views, cameras.reach[view]
     lines, ahead = project_rays(views, view, rays, reach)
-    crossing = follow(images.plane, lines, active & ahead & cameras.usable[view], steps=options.steps)
+    there, active = active, active & ahead & cameras.usable[view]
+    if around.pyramid is None:
+        crossing = follow(images.plane, lines, active, steps=options.steps)
+    else:
+        crossing = follow_levels(images.plane, around.pyramid, lines, view, active, steps=options.steps)
     crossing = confirmed(around.mesh, images, views, view, lines, crossing, rays, reach)
     seen, found = look_up(images, lines, crossing, rays, reach, around.lights), crossing.found
     if around.itself is not None:
-        seen, found = meet_cluster(around.itself, rays, view, active, seen, found, reach, steps=options.steps)
+        seen, found = meet_cluster(around.itself, rays, view, there, seen, found, reach, steps=options.steps)
     return seen, found, crossing.steps
 
 

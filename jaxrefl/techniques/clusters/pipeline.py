@@ -22,6 +22,7 @@ from jaxrefl.techniques.clusters.cameras import cluster_cameras
 from jaxrefl.techniques.clusters.cluster import describe, mirrors_of
 from jaxrefl.techniques.clusters.concave import image_of_concave
 from jaxrefl.techniques.clusters.depth_images import make_depth_images
+from jaxrefl.techniques.clusters.hierarchy import pyramid_of
 from jaxrefl.techniques.clusters.label import label_pixels
 from jaxrefl.techniques.clusters.look_up import counts_of
 from jaxrefl.techniques.clusters.needed import needed_texels
@@ -90,7 +91,8 @@ def step(
         diffuse = diffuse_light(scene, frame.tracer, frame.gbuffer, frame.key, options=light)
         itself = image_of_concave(camera, frame.gbuffer, clusters, diffuse) if options.concave == "cluster" else None
     fading = diffuse if options.far == "glossiness" else None
-    around = Surroundings(scene.mesh, scene.lights, cameras, images, state.maps, itself, fading)
+    pyramid = pyramid_of(images.plane, cameras.views) if options.search == "pyramid" else None
+    around = Surroundings(scene.mesh, scene.lights, cameras, images, state.maps, pyramid, itself, fading)
     found = timed("intersect", answer(frame, label.reshape(shape), around, options=options))
     transmitted = timed("transmit", trace_refracted(frame, options=options))
     result = dataclasses.replace(found.reflection, transmitted=transmitted)

@@ -27,7 +27,7 @@ _ROUND = 16
 """Steps after which the rays that have ended are put aside."""
 _AT_ONCE = 2
 """First steps, that all rays take together; those of planar clusters need one."""
-_TOUCH = 1e-3
+TOUCH = 1e-3
 """How far behind a surface a ray may start, as a share of its 1 / z, and still count as lying on it."""
 
 
@@ -106,7 +106,7 @@ def distance_along(lines: Lines, share: Float[Array, "n"], reach: Float[Array, "
     return reach * share * lines.end_z / jnp.where(depth > 0, depth, 1)
 
 
-class _Walk(NamedTuple):
+class Walk(NamedTuple):
     """Rays on their way."""
 
     plane: Array
@@ -143,15 +143,14 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
     """
     planes = (plane[:, 0], plane[:, 1], plane[:, 2])
     n = active.shape[0]
-    length = jnp.ceil(jnp.abs(lines.end - lines.start).max(-1))
-    number = jnp.where(active, jnp.clip(length, 1, steps), 0).astype(jnp.int32)
+    number = steps_of(lines, active, steps)
     # What all rays do first needs no blocks; those of planar clusters have ended after that.
-    walk = _advance(planes, lines, number, _begin(planes, lines, number), jnp.full((), 2, jnp.int32), _AT_ONCE)
+    walk = _advance(planes, lines, number, begin_walk(planes, lines, number), jnp.full((), 2, jnp.int32), _AT_ONCE)
 
-    def unfinished(state: tuple[_Walk, Array]) -> Array:
+    def unfinished(state: tuple[Walk, Array]) -> Array:
         return ~state[0].done.all()
 
-    def one_round(state: tuple[_Walk, Array]) -> tuple[_Walk, Array]:
+    def one_round(state: tuple[Walk, Array]) -> tuple[Walk, Array]:
         """A few steps for all rays that are still on their way, block by block of those alone."""
         walk, step = state
         rank = jax.lax.associative_scan(jnp.add, (~walk.done).astype(jnp.int32))
@@ -159,7 +158,7 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
         place = jnp.where(walk.done, n + _BLOCK, rank - 1)
         order = order.at[place].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
 
-        def block(i: Array, walk: _Walk) -> _Walk:
+        def block(i: Array, walk: Walk) -> Walk:
             index = jax.lax.dynamic_slice_in_dim(order, i * _BLOCK, _BLOCK)
             safe = jnp.minimum(index, n - 1)
             some, part, many = jax.tree.map(lambda x: x[safe], (lines, walk, number))
@@ -170,10 +169,16 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
         return jax.lax.fori_loop(0, (rank[-1] + _BLOCK - 1) // _BLOCK, block, walk), step + _ROUND
 
     start = (walk, jnp.full((), 2 + _AT_ONCE, jnp.int32))
-    return _finish(lines, number, jax.lax.while_loop(unfinished, one_round, start)[0], active)
+    return finish_walk(lines, number, jax.lax.while_loop(unfinished, one_round, start)[0], active)
 
 
-def _place(lines: Lines, share: Array) -> tuple[Array, Array]:
+def steps_of(lines: Lines, active: Array, most: int) -> Int[Array, "n"]:
+    """Steps of a texel or less that each line takes; longer ones where that would be more than `most`."""
+    length = jnp.ceil(jnp.abs(lines.end - lines.start).max(-1))
+    return jnp.where(active, jnp.clip(length, 1, most), 0).astype(jnp.int32)
+
+
+def place_on(lines: Lines, share: Array) -> tuple[Array, Array]:
     """Column and row of the texel at a share of each ray's length."""
     at = lines.start + (lines.end - lines.start) * share[:, None]
     column, row = jnp.floor(at[:, 0]).astype(jnp.int32), jnp.floor(at[:, 1]).astype(jnp.int32)
@@ -181,22 +186,23 @@ def _place(lines: Lines, share: Array) -> tuple[Array, Array]:
     return jnp.clip(column, 0, most[:, 0]), jnp.clip(row, 0, most[:, 1])
 
 
-def _begin(planes: tuple[Array, Array, Array], lines: Lines, number: Array) -> _Walk:
+def begin_walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array) -> Walk:
     """Rays at their near ends, for `number` steps each."""
     zero = jnp.zeros_like(lines.start_z)
-    first, second = (_plane_at(planes, lines, number, jnp.full((), i, jnp.int32)) for i in range(2))
-    touching = jnp.real(first) > -_TOUCH * lines.start_z
-    return _Walk(second, first, touching, ~touching, number <= 0, zero + 1, jnp.full(zero.shape, -1, jnp.int32))
+    first, second = (plane_at(planes, lines, number, jnp.full((), i, jnp.int32)) for i in range(2))
+    touching = jnp.real(first) > -TOUCH * lines.start_z
+    return Walk(second, first, touching, ~touching, number <= 0, zero + 1, jnp.full(zero.shape, -1, jnp.int32))
 
 
-def _share_at(number: Array, step: Array) -> Array:
+def share_at(number: Array, step: Array) -> Array:
+    """Share of each ray's length after some steps."""
     return jnp.minimum(step.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
 
 
-def _plane_at(planes: tuple[Array, Array, Array], lines: Lines, number: Array, step: Array) -> Array:
+def plane_at(planes: tuple[Array, Array, Array], lines: Lines, number: Array, step: Array) -> Array:
     """How far each ray is before the plane of its texel at a step: a + b share, as a + i b."""
     level, slope_x, slope_y = planes
-    column, row = _place(lines, _share_at(number, step))
+    column, row = place_on(lines, share_at(number, step))
     at = lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column
     z, gx, gy = level[at], slope_x[at], slope_y[at]
     u = lines.start[:, 0] - column.astype(jnp.float32) - 0.5
@@ -207,9 +213,48 @@ def _plane_at(planes: tuple[Array, Array, Array], lines: Lines, number: Array, s
     return together(ahead, change)
 
 
+class Meeting(NamedTuple):
+    """One step of a ray over the planes of two texels [n]."""
+
+    hit: Array
+    """It went through one of them."""
+    before: Array
+    """That of the texel it came from."""
+    place: Array
+    """Where, as a share of its length."""
+    front: Array
+    """It is before the plane of the texel it came to."""
+    lost: Array
+    """It was before all that is shown and is now behind it, and went through neither plane."""
+
+
+def meet(plane: Array, plane_before: Array, was_at: Array, now_at: Array, front: Array) -> Meeting:
+    """What happens in one step.
+
+    Args:
+        plane: Of the texel the ray comes to, as `plane_at` has it.
+        plane_before: Of the texel it comes from.
+        was_at: Share of the ray's length before the step.
+        now_at: And after it.
+        front: Whether it was before what is shown.
+    Returns:
+        The meeting.
+    """
+    a, b = jnp.real(plane), jnp.imag(plane)
+    c, d = jnp.real(plane_before), jnp.imag(plane_before)
+    now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
+    crossed = front & (now <= 0)
+    here = crossed & (was > 0)
+    there = crossed & ~here & (old_now <= 0)
+    hit = here | there
+    old_part = jnp.maximum(old_was, 0) / jnp.where(there & (old_was > old_now), old_was - old_now, 1)
+    part = jnp.where(here, was / jnp.where(here, was - now, 1), old_part)
+    return Meeting(hit, there, was_at + (now_at - was_at) * part, now > 0, crossed & ~hit)
+
+
 def _advance(
-    planes: tuple[Array, Array, Array], lines: Lines, number: Array, walk: _Walk, step: Array, count: int
-) -> _Walk:
+    planes: tuple[Array, Array, Array], lines: Lines, number: Array, walk: Walk, step: Array, count: int
+) -> Walk:
     """Take `count` steps, of which `step` is the first whose plane has not been read.
 
     A step reads the plane of its texel and does no more; it is tested in the next one. So what is gathered has one
@@ -217,44 +262,37 @@ def _advance(
     """
     last = step + count
 
-    def body(state: tuple[Array, _Walk]) -> tuple[Array, _Walk]:
+    def body(state: tuple[Array, Walk]) -> tuple[Array, Walk]:
         ahead, walk = state
         step = ahead - 1
-        now_at, was_at = _share_at(number, step), _share_at(number, step - 1)
-        a, b = jnp.real(walk.plane), jnp.imag(walk.plane)
-        c, d = jnp.real(walk.plane_before), jnp.imag(walk.plane_before)
-        now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
+        now_at, was_at = share_at(number, step), share_at(number, step - 1)
         going = ~walk.done
-        crossed = going & walk.front & (now <= 0)
-        here = crossed & (was > 0)
-        there = crossed & ~here & (old_now <= 0)
-        hit = here | there
-        old_part = jnp.maximum(old_was, 0) / jnp.where(there & (old_was > old_now), old_was - old_now, 1)
-        part = jnp.where(here, was / jnp.where(here, was - now, 1), old_part)
-        place = was_at + (now_at - was_at) * part
-        return ahead + 1, _Walk(
-            plane=_plane_at(planes, lines, number, ahead),
+        met = meet(walk.plane, walk.plane_before, was_at, now_at, walk.front)
+        hit = going & met.hit
+        return ahead + 1, Walk(
+            plane=plane_at(planes, lines, number, ahead),
             plane_before=walk.plane,
-            front=jnp.where(going, now > 0, walk.front),
-            hidden=walk.hidden | (crossed & ~hit),
-            done=walk.done | hit | (_share_at(number, step) >= lines.within),
-            share=jnp.where(hit, place, walk.share),
-            last=jnp.where(hit, step - there.astype(jnp.int32), walk.last),
+            front=jnp.where(going, met.front, walk.front),
+            hidden=walk.hidden | (going & met.lost),
+            done=walk.done | hit | (now_at >= lines.within),
+            share=jnp.where(hit, met.place, walk.share),
+            last=jnp.where(hit, step - met.before.astype(jnp.int32), walk.last),
         )
 
-    def on_the_way(state: tuple[Array, _Walk]) -> Array:
+    def on_the_way(state: tuple[Array, Walk]) -> Array:
         return (state[0] < last) & ~state[1].done.all()
 
     return jax.lax.while_loop(on_the_way, body, (step, walk))[1]
 
 
-def _finish(lines: Lines, number: Array, walk: _Walk, active: Array) -> Crossing:
+def finish_walk(lines: Lines, number: Array, walk: Walk, active: Array) -> Crossing:
+    """How rays ended."""
     hit = active & (walk.last >= 0)
     seen = jnp.where(hit, int(Found.SURFACE), jnp.where(walk.front, int(Found.SKY), int(Found.HIDDEN)))
     seen = jnp.where(~hit & walk.front & (lines.within < 1), int(Found.OUTSIDE), seen)
     passed = walk.hidden & (hit | (walk.front & (lines.within >= 1)))
     found = jnp.where(active, jnp.where(passed, int(Found.PASSED), seen), int(Found.NO_CAMERA))
     at = jnp.minimum(walk.last.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
-    column, row = _place(lines, at)
+    column, row = place_on(lines, at)
     texel = jnp.where(hit, lines.offset + row * lines.size[:, 0] + column, 0)
     return Crossing(found.astype(jnp.int32), walk.share, texel, jnp.where(hit, walk.last, number))

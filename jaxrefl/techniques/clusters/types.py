@@ -126,6 +126,11 @@ class Options(TraceOptions):
         "Rough surfaces: each ray meets the depth image, or one does and the others look up what is beside its hit.",
         choices=("rays", "neighbourhood"),
     )
+    search: str = option(
+        "steps",
+        "How rays are followed through depth images: texel by texel, or past what their min-max pyramid rules out.",
+        choices=("steps", "pyramid"),
+    )
     texels: int = option(300, "Most texels of all depth images, percent of the image's pixels.", low=10, high=10000)
     steps: int = option(1024, "Most steps of a ray through its depth image.", low=1, high=16384)
     map_height: int = option(128, "Rows of each environment map (environment).", low=16, high=2048)
