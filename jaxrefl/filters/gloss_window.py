@@ -147,12 +147,12 @@ def all_agree(tile: Layer, wide: int, radius: int, limits: Limits) -> Bool[Array
 
     # Normals within half the angle of their mean are within the whole of each other.
     middle = [mean(n) for n in tile.normal]
-    cosine = sum(n * m for n, m in zip(tile.normal, middle, strict=True))
+    cosine = tile.normal[0] * middle[0] + tile.normal[1] * middle[1] + tile.normal[2] * middle[2]
     length = jnp.sqrt(jnp.maximum(sum(m * m for m in middle), 1e-12))
     turned = least(cosine) > jnp.sqrt(jnp.maximum((1 + limits.normal) / 2, 0)) * length + 1e-4
     # The distance of one from the other's plane: what both are off a common plane, and their slopes over a window.
     off = tile.inverse - mean(tile.slope[0]) * x - mean(tile.slope[1]) * y
-    tilt = sum(width(s) for s in tile.slope)
+    tilt = width(tile.slope[0]) + width(tile.slope[1])
     near = width(off) + radius * tilt < (limits.depth - 1e-4) * least(tile.inverse)
     one = jnp.where(some, tile.id, tile.id.max()).min() == tile.id.max()
     return one & turned & near
