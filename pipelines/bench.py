@@ -219,8 +219,10 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--temporal", nargs="+", metavar="SCENE", help="instead: reprojection along camera paths")
     parser.add_argument("--gloss", nargs="+", metavar="SCENE", help="instead: the gloss filter, and errors in scenes")
     parser.add_argument("--clusters", nargs="+", metavar="SCENE", help="instead: clusters of mirror rays")
-    parts = ("errors", "times", "knobs", "growth", "flat", "rough", "all")
-    help_part = "which tables (--temporal: the first four; --clusters: and rough; --gloss: flat, errors, knobs)"
+    parts = ("errors", "times", "knobs", "growth", "flat", "rough", "interiors", "all")
+    help_part = (
+        "which tables (--temporal: the first four; --clusters: and rough; --gloss: flat, errors, knobs, interiors)"
+    )
     parser.add_argument("--part", default="all", choices=parts, help=help_part)
     parser.add_argument("--side", type=int, default=1024, help="width and height of images (--temporal, --clusters)")
     parser.add_argument("--frames", type=int, default=240, help="frames of each path (--temporal, --clusters)")

@@ -1,8 +1,10 @@
 """The gloss filter on flat pictures: edge profiles against the lobe, evaluations against each other and OpenCV.
 
-Times are of steady running (a call in which JAX compiled is run again) and of one run, so ratios hold.
+Times are of steady running (a call in which JAX compiled is run again) and of one run, so ratios hold; those beside
+other programs are medians, with all of them run in turn.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any
@@ -139,43 +141,66 @@ def evaluations(side: int, radius: int) -> Rows:
     return rows
 
 
-def peers(side: int, radii: tuple[int, ...], *, threads: int = 1) -> Rows:
+def wavy_guides(shape: tuple[int, int]) -> Guides:
+    """Guides of a surface whose pixels all agree with their neighbours, but that is no plane.
+
+    Args:
+        shape: Rows and columns.
+    Returns:
+        Waves of 128 pixels with 7 % of the inverse depth.
+    """
+    phase = np.broadcast_to(2 * np.pi / 128 * np.arange(shape[1]), shape)
+    inverse, rise = 1 + 0.07 * np.sin(phase), 0.07 * 2 * np.pi / 128 * np.cos(phase)
+    depth, slope = (jnp.asarray(v, jnp.float32) for v in (1 / inverse, np.stack([rise, 0 * rise], -1)))
+    return dataclasses.replace(flat_guides(shape), depth=depth, slope=slope)
+
+
+def peers(side: int, radii: tuple[int, ...], *, threads: int, rounds: int = 5) -> Rows:
     """Time per Mpixel against bilateral filters of OpenCV (contrib) and scikit-image at the same footprint.
 
     Args:
         side: Of the picture.
         radii: Radii; the deviation is radius / 2.5.
-        threads: Of OpenCV.
+        threads: Of OpenCV; as many as JAX has.
+        rounds: How often all are run, one after the other.
     Returns:
-        One row per radius, milliseconds; None: not installed. scikit-image runs on a sixteenth of the pixels.
+        One row per radius, medians in milliseconds; None: not installed. scikit-image runs on a sixteenth of the
+        pixels. "Waves": on a surface on which every pair of pixels has to be asked whether it agrees.
     """
     shape, rows = (side, side), []
     image = np.random.default_rng(0).random((*shape, 3)).astype(np.float32)
-    guides = flat_guides(shape)
+    flat, waves = flat_guides(shape), wavy_guides(shape)
+    options = {
+        "window 6": (flat, GlossOptions("window", 6)),
+        "window 6, waves": (waves, GlossOptions("window", 6)),
+        "window 4": (flat, GlossOptions("window", 4)),
+        "four passes 6": (flat, GlossOptions("four_pass", 6)),
+        "four passes 4": (flat, GlossOptions("four_pass", 4)),
+    }
     for radius in radii:
         variance = (radius / 2.5) ** 2
         size = _constant(shape, [1.0], [[0.0, 0.0]], [[variance, 0.0, variance]])
-        row: dict[str, Any] = {"radius": radius}
-        options = {
-            "window 6": GlossOptions("window", 6),
-            "window 4": GlossOptions("window", 4),
-            "four passes 6": GlossOptions("four_pass", 6),
-            "four passes 4": GlossOptions("four_pass", 4),
+        calls: dict[str, Callable[[], Any] | None] = {
+            name: lambda g=guides, o=option, s=size: _filter(image, g, s, o)
+            for name, (guides, option) in options.items()
         }
-        for name, option in options.items():
-            row[name] = 1e9 * timed(lambda o=option, s=size: _filter(image, guides, s, o)).seconds / side**2
-        row["OpenCV joint bilateral"] = _seconds_of(_opencv(image, radius, threads), side**2)
-        row["scikit-image bilateral"] = _seconds_of(_skimage(image[: side // 4, : side // 4], radius), side**2 / 16)
+        calls["OpenCV joint bilateral"] = _opencv(image, radius, threads)
+        calls["scikit-image bilateral"] = _skimage(image[: side // 4, : side // 4], radius)
+        spent: dict[str, list[float]] = {name: [] for name in calls}
+        for number in range(rounds + 1):  # the first compiles
+            for name, call in calls.items():
+                if call is None:
+                    continue
+                began = time.perf_counter()
+                jax.block_until_ready(call())
+                if number:
+                    spent[name].append(time.perf_counter() - began)
+        row: dict[str, Any] = {"radius": radius}
+        for name, seconds in spent.items():
+            pixels = side**2 / (16 if name.startswith("scikit") else 1)
+            row[name] = 1e9 * float(np.median(seconds)) / pixels if seconds else None
         rows.append(row)
     return rows
-
-
-def _seconds_of(call: Callable[[], Any] | None, pixels: float) -> float | None:
-    if call is None:
-        return None
-    began = time.perf_counter()
-    call()
-    return 1e9 * (time.perf_counter() - began) / pixels
 
 
 def _opencv(image: np.ndarray, radius: int, threads: int) -> Callable[[], Any] | None:

@@ -35,10 +35,21 @@ def plot_alphas(rows: Rows, out: Path) -> None:
         column[1].loglog(same, [r["RMSE"] for r in rays], "x", label="GGX rays, same RMSE", color="k")
         column[0].set(title=name, xlabel="alpha", ylabel="RMSE of the glossy layer")
         column[1].set(xlabel="time of a step, ms", ylabel="RMSE of the glossy layer")
+        _plain_ticks(*(axis.xaxis for axis in column))
     for axis in axes[:, 0]:
         axis.legend(fontsize=7)
     figure.savefig(out, dpi=80)
     plt.close(figure)
+
+
+def _plain_ticks(*axes: Any) -> None:
+    """Label logarithmic axes by plain numbers at 1, 2 and 5: the usual labels run into each other."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in axes:
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def plot_sweep(rows: Rows, out: Path) -> None:
@@ -61,6 +72,7 @@ def plot_sweep(rows: Rows, out: Path) -> None:
             for row, a, b in zip(chosen, x, y, strict=True):
                 axis.annotate(row["method"].rsplit(" ", 1)[1], (a, b), fontsize=7)
         axis.set(title=f"{size} pixels", xlabel="time of the filter, ms", ylabel="RMSE of the glossy layer")
+        _plain_ticks(axis.xaxis)
     axes[0][0].legend(fontsize=7)
     figure.savefig(out, dpi=80)
     plt.close(figure)

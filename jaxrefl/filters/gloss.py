@@ -213,7 +213,7 @@ def _filter(
     active = wanted.reshape(size[0] // TILE[0], TILE[0], -1, TILE[1]).any((1, 3))
     left = _without_resampling(inner.covariance, number)
     if options.method == "window":
-        return window(atlas, left, active, limits, radius=options.radius, spread=options.spread)
+        return window(atlas, left, active, limits, radius=options.radius, layers=count, spread=options.spread)
     pairs, active = 2 if options.method == "four_pass" else 1, neighbours(active, places)
     return lines(
         atlas, left, active, limits, radius=options.radius, taps=options.taps, spread=options.spread, pairs=pairs

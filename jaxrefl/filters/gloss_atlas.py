@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 
 from jaxrefl.filters.gloss_layers import DATA, Layer, Limits, Others, Values, agree, normalised
 
-TILE = (32, 128)
+TILE = (16, 128)
 """Rows and columns of what is filtered at a time; fits the cache of a CPU."""
 
 

@@ -95,6 +95,8 @@ def _pass(
         stride = jax.lax.stop_gradient(jnp.maximum(stride, 1))
         half = 0.5 / (sigma * sigma + SHARP)
 
+        narrower = spread_ratio(own)
+
         def add(sums: list[Array], tap: Array) -> tuple[list[Array], None]:
             step = tap.astype(jnp.float32) * stride
             fx, fy = step * cos * unit, step * sin * unit
@@ -108,7 +110,7 @@ def _pass(
             for dx, dy, amount in ends:
                 there, inside = _read(flat, x + dx.astype(jnp.int32), y + dy.astype(jnp.int32), height, width)
                 distance = dx * cos + dy * sin if taps == "nearest" else step * unit
-                ratio = spread_ratio(own, there.image) if spread else jnp.ones_like(cos)
+                ratio = narrower(there.image) if spread else jnp.ones_like(cos)
                 good = inside & agree(own, there, dx, dy, limits)
                 exponent = -half * (distance * ratio - shift) ** 2
                 weight = jnp.exp(jnp.where(good, exponent, -1e4)) * amount * ratio
