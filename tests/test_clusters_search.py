@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from cluster_rooms import clusters_of, room, run
 from reference import clusters as slow
+from shapes import QUAD
 
-from jaxrefl._types import Frame, Rays
+from jaxrefl._types import Frame, Mesh, Rays
 from jaxrefl.core.safe import norm
 from jaxrefl.rays import seen_by
 from jaxrefl.rays.views import Views
-from jaxrefl.techniques import clusters, raytrace
+from jaxrefl.techniques import clusters
 from jaxrefl.techniques.clusters import Found
-from jaxrefl.techniques.clusters.depth_images import make_depth_images
+from jaxrefl.techniques.clusters.confirm import confirmed
+from jaxrefl.techniques.clusters.depth_images import DepthImages, make_depth_images
 from jaxrefl.techniques.clusters.hierarchy import follow_levels, pyramid_of
 from jaxrefl.techniques.clusters.needed import needed_texels
 from jaxrefl.techniques.clusters.traverse import follow, project_rays
@@ -154,16 +156,31 @@ def test_texels_that_are_not_rendered_are_not_missed(capacity: int, ball_room: F
         np.testing.assert_array_equal(getattr(ends[0], name), getattr(ends[1], name), name)
 
 
-def test_coarse_texels_make_no_hits_in_mid_air():
-    """What is said to be a surface is near one, however coarse the depth images are."""
-    frame = room(size=(32, 24))
-    truth, _ = run(raytrace, frame)
-    image, info = run(clusters, frame, params=clusters.Params(resolution=0.25), repair="none", capacity=4)
-    sure = np.asarray(truth.valid & image.valid) & (np.asarray(info.found) == Found.SURFACE)
-    p = np.asarray(image.p)[sure]
-    floor = np.abs(p[:, 1])
-    posts = np.minimum(np.abs(p[:, 2] + 2), np.abs(p[:, 2] - 5))
-    assert sure.sum() > 20 and (np.minimum(floor, posts) < 0.35).all()
+def test_hits_in_mid_air_are_taken_back():
+    """A shelf seen nearly edge on: its plane is met well before the shelf itself begins, one texel away."""
+    corners = jnp.array([[-9.0, 0.225, 4.4], [9.0, 0.225, 4.4], [9.0, 0.225, 4.6], [-9.0, 0.225, 4.6]])
+    mesh = Mesh(corners, jnp.asarray(QUAD, jnp.int32), jnp.zeros(2, jnp.int32), jnp.zeros(2, jnp.int32))
+    _, views, *_ = depth_image(0, smooth=True)
+    views = dataclasses.replace(
+        views,
+        low=jnp.array([[-0.02, -0.02]], jnp.float32),
+        pitch=jnp.array([[0.02, 0.02]], jnp.float32),
+        size=jnp.array([[2, 8]], jnp.int32),
+    )
+    row = np.arange(16) // 2
+    shelf, level = row == 3, 0.05 / 0.225  # the row of slopes 0.04 to 0.06 shows it; far away is a wall
+    plane = np.where(shelf[:, None], [level, 0, 0.02 / 0.225], [0.02, 0, 0]).astype(np.float32)
+    triangle = jnp.asarray(np.where(shelf, 0, -1), jnp.int32)
+    images = DepthImages(jnp.asarray(plane), jnp.zeros((16, 3), jnp.float32), triangle)
+    origin = jnp.array([[0.001, 0.0, 1.0], [0.001, 0.1, 3.5]], jnp.float32)
+    target = jnp.array([[0.001, 0.298, 5.09], [0.001, 0.275, 4.9]], jnp.float32)
+    reach, view = norm(target - origin), jnp.zeros(2, jnp.int32)
+    rays = Rays(origin, (target - origin) / reach[:, None])
+    lines, ahead = project_rays(views, view, rays, reach)
+    crossing = follow(images.plane, lines, ahead, steps=64)
+    assert (np.asarray(crossing.found) == Found.SURFACE).all()
+    after = confirmed(mesh, images, views, view, lines, crossing, rays, reach)
+    assert after.found.tolist() == [Found.HIDDEN, Found.SURFACE]
 
 
 @pytest.fixture(scope="module")
