@@ -22,6 +22,7 @@ from jaxrefl.radiance import LightOptions, diffuse_light
 from jaxrefl.surface import look, reflective
 from jaxrefl.techniques import TECHNIQUES
 from jaxrefl.techniques.clusters import Options
+from pipelines.bench_clusters_pictures import draw_strip
 from pipelines.bench_raster import deforming, rasteriser
 from pipelines.bench_tables import write
 from pipelines.bench_temporal import Route, open_path
@@ -212,6 +213,17 @@ def against_tracing(taken: list[Shot], methods: tuple[str, ...]) -> Rows:
     return [row_of(label, *METHODS[label], taken) for label in methods]
 
 
+def picture(shot: Shot, out: Path) -> None:
+    """Draw how clusters see a frame, unrepaired.
+
+    Args:
+        shot: The frame.
+        out: PNG file to write.
+    """
+    _, image, info = _run("clusters", {"repair": "none"}, shot.frame).value
+    draw_strip(shot.traced, image, info, out)
+
+
 def sweeps(taken: list[Shot]) -> Rows:
     """The knobs, one at a time, unrepaired.
 
@@ -349,6 +361,7 @@ def bench_clusters(arguments: argparse.Namespace, argv: list[str]) -> None:
         route = spread(whole, frames)
         taken = shots(route, smooth=True, side=side) if wanted - {"growth", "rough"} else []
         if "errors" in wanted:
+            picture(taken[0], arguments.out / f"clusters_{Path(name).parent.name or name}.png")
             add(
                 "errors",
                 "Against ray tracing",

@@ -38,6 +38,8 @@ def confirmed(
         reach: Lengths up to which they were followed, world units.
     Returns:
         Crossings; those taken back are `HIDDEN`.
+    Edge cases: a ray whose image is no longer than a texel, as those of planar clusters are, sees what that texel shows,
+        wherever along it that is.
     """
     hit = is_hit(crossing.found, crossing.share)
     p = rays.origin + rays.direction * distance_along(lines, crossing.share, reach)[:, None]
@@ -45,5 +47,6 @@ def confirmed(
     inverse = lines.start_z + (lines.end_z - lines.start_z) * crossing.share
     width = views.pitch[view].max(-1) / jnp.where(inverse > 0, inverse, 1)
     far = distance_to_triangle(p, corners[:, 0], corners[:, 1], corners[:, 2]) > NEAR * width
-    found = jnp.where(hit & far, int(Found.HIDDEN), crossing.found).astype(jnp.int32)
+    long = jnp.abs(lines.end - lines.start).max(-1) > 1
+    found = jnp.where(hit & far & long, int(Found.HIDDEN), crossing.found).astype(jnp.int32)
     return Crossing(found, crossing.share, crossing.texel, crossing.steps)

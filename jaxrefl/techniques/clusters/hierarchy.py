@@ -4,7 +4,7 @@ A cell of the pyramid holds the least and the largest 1 / z of its own planes an
 so one cell answers for all places that a ray from it reaches within as many texels as the cell is wide. Same crossings
 as step by step; worth its cost where rays take many steps.
 
-Source: [WXKP14] §3.4 has steps alone; [TT11] Tevs, Ihrke, Seidel, "Maximum Mipmaps for Fast, Accurate, and Scalable
+Source: [WXKP14] §3.4 has steps alone; [TIS08] Tevs, Ihrke, Seidel, "Maximum Mipmaps for Fast, Accurate, and Scalable
 Dynamic Height Field Rendering", I3D 2008, has the pyramid.
 """
 
