@@ -38,8 +38,8 @@ def confirmed(
         reach: Lengths up to which they were followed, world units.
     Returns:
         Crossings; those taken back are `HIDDEN`.
-    Edge cases: a ray whose image is no longer than a texel, as those of planar clusters are, sees what that texel shows,
-        wherever along it that is.
+    Edge cases: a ray whose image is no longer than a texel, as those of planar clusters are, sees what that texel
+        shows, wherever along it that is.
     """
     hit = is_hit(crossing.found, crossing.share)
     p = rays.origin + rays.direction * distance_along(lines, crossing.share, reach)[:, None]
