@@ -129,7 +129,7 @@ def follow_levels(
 
     planes = (plane[:, 0], plane[:, 1], plane[:, 2])
     parts = jax.tree.map(blocks, (lines, view, active))
-    ended = jax.lax.map(lambda part: _follow_block(planes, pyramid, *part, steps), parts)
+    ended = jax.lax.map(lambda part: _follow_block(planes, pyramid, part[0], part[1], part[2], steps), parts)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], ended)
 
 
