@@ -125,4 +125,8 @@ def _split_levels(
     level = (share * (_PLANES - 0.73) + 0.39).astype(jnp.int32)
     level = jnp.where(split[label], jnp.clip(level, 0, _PLANES - 1), 0)
     label, more = _compact(label * _PLANES + level, label >= 0, capacity * _PLANES)
-    return jnp.minimum(label, capacity - 1), jnp.maximum(count, more)
+    # The largest come first, so that it is the smallest that are merged.
+    pixels = sums(label, jnp.ones_like(label), capacity * _PLANES)
+    rank = jnp.argsort(jnp.argsort(-pixels)).astype(jnp.int32)
+    label = jnp.where(label >= 0, jnp.minimum(rank[jnp.maximum(label, 0)], capacity - 1), -1)
+    return label, jnp.maximum(count, more)
