@@ -13,7 +13,7 @@ from shapes import QUAD
 from jaxrefl._types import Frame, Mesh, Rays
 from jaxrefl.core.safe import norm
 from jaxrefl.rays import seen_by
-from jaxrefl.rays.views import Views
+from jaxrefl.rays.views import Views, texel_count
 from jaxrefl.techniques import clusters
 from jaxrefl.techniques.clusters import Found
 from jaxrefl.techniques.clusters.confirm import confirmed
@@ -143,7 +143,7 @@ def test_texels_that_are_not_rendered_are_not_missed(capacity: int, ball_room: F
     options = clusters.Options(capacity=capacity)
     room_for = options.room(mirrors.valid.size)
     some = needed_texels(cameras, found, mirrors, room=room_for, block=1024)
-    everything = jnp.arange(room_for) < cameras.texels
+    everything = jnp.arange(room_for) < texel_count(cameras.views)
     assert some.sum() <= everything.sum() and not (some & ~everything).any()
     label = jnp.maximum(found.label, 0)
     lines, ahead = project_rays(cameras.views, label, Rays(mirrors.p, mirrors.wi), cameras.reach[label])

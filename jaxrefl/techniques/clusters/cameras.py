@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrefl._types import Camera
 from jaxrefl.core import cross, dot, frame_from_normal
 from jaxrefl.core.safe import normalise
-from jaxrefl.rays.views import Views, in_view, texel_count
+from jaxrefl.rays.views import Views, in_view
 from jaxrefl.techniques.clusters.cluster import Clusters, Mirrors
 from jaxrefl.techniques.clusters.eye import displaced_eye, fitted_eye, mirrored_eye, nearest_point
 from jaxrefl.techniques.clusters.segments import largest, smallest, sums
@@ -45,11 +45,6 @@ class ClusterCameras(eqx.Module):
     """Length of the rays that are followed, world units."""
     shrunk: Float[Array, ""]
     """Factor on the number of texels, below 1 where there was not room for all."""
-
-    @property
-    def texels(self) -> int:
-        """How many there are."""
-        return int(texel_count(self.views))
 
 
 @functools.partial(jax.jit, static_argnames=("options", "shape"))

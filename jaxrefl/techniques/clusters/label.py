@@ -113,6 +113,7 @@ def _by_plane(
 def _split_levels(
     mirrors: Mirrors, label: Int[Array, "n"], count: Int[Array, ""], capacity: int
 ) -> tuple[Int[Array, "n"], Int[Array, ""]]:
+    """One cut of flat clusters into `_PLANES` levels along their normal."""
     normal = normalise(sums(label, mirrors.normal, capacity))
     own = normal[label]
     away = mirrors.normal - own
