@@ -6,7 +6,6 @@ pixel centre in the bounding box of a triangle's image is tested against its edg
 the same depth the one with the smaller number. Loops run as often as there is something to draw.
 """
 
-import functools
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -30,13 +29,14 @@ _SLACK = 1e-4
 """Texels by which edges reach outward: rounding leaves no cracks between triangles."""
 
 
-def draw_triangles(mesh: Mesh, views: Views, *, room: int) -> Int[Array, "m"]:
+def draw_triangles(mesh: Mesh, views: Views, *, room: int, begin: Float[Array, "m"] | None = None) -> Int[Array, "m"]:
     """The triangle that each texel of many views sees at its centre.
 
     Args:
         mesh: The triangles.
         views: The views; their clipping planes and unseen sides count.
         room: Length of the list of texels, at least `texel_count(views)`.
+        begin: Largest 1 / z that each texel sees; None: there is no limit but the clipping plane.
     Returns:
         Rows in `mesh.faces`; -1 where nothing is seen.
     Edge cases: triangles that pass through the eye's plane are drawn where they are ahead of it. Texels whose centre
@@ -44,7 +44,8 @@ def draw_triangles(mesh: Mesh, views: Views, *, room: int) -> Int[Array, "m"]:
     Source: [OG97].
     """
     corners = mesh.vertices[mesh.faces]
-    return _draw(corners, mesh.object, views, room=room)
+    begin = jnp.full(room, jnp.inf, jnp.float32) if begin is None else begin
+    return _draw(corners, mesh.object, views, begin)
 
 
 def raster_hits(mesh: Mesh, views: Views, texel: Int[Array, "n"], triangle: Int[Array, "n"]) -> tuple[Rays, Hits]:
@@ -90,8 +91,10 @@ class _Groups(NamedTuple):
     pairs: Int[Array, ""]
 
 
-@functools.partial(jax.jit, static_argnames="room")
-def _draw(corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views, *, room: int) -> Int[Array, "m"]:
+@jax.jit
+def _draw(
+    corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views, begin: Float[Array, "m"]
+) -> Int[Array, "m"]:
     groups = _cull(corners, objects, views)
     none = jnp.iinfo(jnp.int32).max
 
@@ -106,12 +109,12 @@ def _draw(corners: Float[Array, "f 3 3"], objects: Int[Array, "f"], views: Views
 
         def fragments(state: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
             start, image = state
-            return start + _FRAGMENTS, _shade(rows, boxes, ends, triangle, start, image)
+            return start + _FRAGMENTS, _shade(rows, boxes, ends, triangle, start, image, begin)
 
         state = (jnp.zeros((), jnp.int32), image)
         return jax.lax.while_loop(lambda state: state[0] < ends[-1], fragments, state)[1]
 
-    image = (jnp.zeros(room, jnp.float32), jnp.full(room, none, jnp.int32))
+    image = (jnp.zeros_like(begin), jnp.full(begin.shape, none, jnp.int32))
     _, winner = jax.lax.fori_loop(0, (groups.pairs + _PAIRS - 1) // _PAIRS, pairs, image)
     return jnp.where(winner == none, -1, winner)
 
@@ -238,7 +241,7 @@ def _triple(x: Array, y: Array, z: Array) -> Array:
 
 
 def _shade(
-    rows: Array, boxes: Array, ends: Array, triangle: Array, start: Array, image: tuple[Array, Array]
+    rows: Array, boxes: Array, ends: Array, triangle: Array, start: Array, image: tuple[Array, Array], begin: Array
 ) -> tuple[Array, Array]:
     """Test the pixels from number `start` on of all boxes, one after another, and keep the nearest."""
     count = rows.shape[0]
@@ -262,6 +265,8 @@ def _shade(
     inside = (number < ends[-1]) & (value(0) >= 0) & (value(1) >= 0) & (value(2) >= 0) & (depth > 0) & (value(4) > 0)
     nearest, winner = image
     texel = jnp.where(inside, box[:, 0] + line * box[:, 1] + column, nearest.shape[0])
+    inside = inside & (depth <= begin.at[texel].get(mode="fill", fill_value=0))
+    texel = jnp.where(inside, texel, nearest.shape[0])
     before = nearest.at[texel].get(mode="fill", fill_value=0)
     nearest = nearest.at[texel].max(depth, mode="drop")
     now = nearest.at[texel].get(mode="fill", fill_value=0)

@@ -116,9 +116,11 @@ def _see(rays: Rays, view: Array, active: Array, around: Surroundings, options: 
     lines, ahead = project_rays(views, view, rays, reach)
     there, active = active, active & ahead & cameras.usable[view]
     if around.pyramid is None:
-        crossing = follow(images.plane, lines, active, steps=options.steps)
+        crossing = follow(images.plane, lines, active, steps=options.steps, begin=images.begin)
     else:
-        crossing = follow_levels(images.plane, around.pyramid, lines, view, active, steps=options.steps)
+        crossing = follow_levels(
+            images.plane, around.pyramid, lines, view, active, steps=options.steps, begin=images.begin
+        )
     crossing = confirmed(around.mesh, images, views, view, lines, crossing, rays, reach)
     seen, found = look_up(images, lines, crossing, rays, reach, around.lights), crossing.found
     if around.itself is not None:

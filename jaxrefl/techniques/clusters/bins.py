@@ -69,15 +69,29 @@ def octahedral_bin(n: Float[Array, "*b 3"], fine: Float[Array, "*b"]) -> Int[Arr
         Numbers in [0, `MOST`).
     Source: [Clarberg08], eq. 5; instead of the bins of [WXKP14] §3.2.
     """
+    side = _count(SIDE, fine)
+    column, row = octahedral_cell(n, side)
+    return row * SIDE + column
+
+
+def octahedral_cell(n: Float[Array, "*b 3"], side: Int[Array, "*b"] | int) -> tuple[Int[Array, "*b"], Int[Array, "*b"]]:
+    """Column and row of a normal's cell on the octahedral map.
+
+    Args:
+        n: Unit normals.
+        side: Cells along each side of the map.
+    Returns:
+        Column and row, in [0, `side`).
+    """
+    side = jnp.broadcast_to(jnp.asarray(side, jnp.int32), n.shape[:-1])
     x, y, z = (jnp.abs(n[..., i]) for i in range(3))
     r = jnp.sqrt(jnp.clip(1 - z, 0, 1))
     v = r * jnp.arctan2(y, x) * (2 / jnp.pi)
     u = r - v
     u, v = jnp.where(n[..., 2] < 0, 1 - v, u), jnp.where(n[..., 2] < 0, 1 - u, v)
     u, v = (jnp.where(n[..., i] < 0, -a, a) * 0.5 + 0.5 for i, a in enumerate((u, v)))
-    side = _count(SIDE, fine)
     column, row = (jnp.clip((a * side.astype(a.dtype)).astype(jnp.int32), 0, side - 1) for a in (u, v))
-    return row * SIDE + column
+    return column, row
 
 
 def _count(most: int, fine: Float[Array, "*b"]) -> Int[Array, "*b"]:

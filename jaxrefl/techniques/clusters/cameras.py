@@ -30,6 +30,8 @@ COARSEST = 0.5
 """Largest slope per texel, 27 degrees; an image of coarser ones shows nothing that rays could be followed through."""
 _FINEST = 4
 """How much finer texels may be than the images of pixels themselves, where their rays' far ends lie closer together."""
+TILTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Near planes that are tried: how far from across the mean normal (0) towards across the view's axis (1)."""
 MARGIN = 2
 """Texels around what the rays need: for reading between texels, and so that neighbouring clusters overlap."""
 
@@ -75,7 +77,7 @@ def cluster_cameras(
     Source: [WXKP14] §3.3.
     Differs from the source: with `axis = "rays"` the image plane faces the mean ray, not the mean normal, so that
         texels are as even as pixels on slanted mirrors too; with `near = "behind"` the clipping plane of a curved
-        cluster stands across the axis before the first of its points, so that no ray starts or goes behind it. With
+        cluster stands before the first of its points, so that no ray starts or goes behind it. With
         `pitch = "ends"` texels are finer where an eye stands close behind a cluster that gathers its rays.
     """
     capacity, label = clusters.pixels.shape[0], clusters.label
@@ -126,7 +128,7 @@ def cluster_cameras(
         pitch=jnp.stack([pitch, pitch], -1),
         size=texels,
         offset=jnp.cumsum(count) - count,
-        clip=_clip(clusters, views, smallest(label, z, capacity), options),
+        clip=_clip(mirrors, clusters, views, options),
     )
     return ClusterCameras(views, usable & fits, reach, count.sum().astype(jnp.float32) / jnp.maximum(wanted, 1))
 
@@ -217,13 +219,23 @@ def _texels(extent: Array, pitch: Array, usable: Array) -> Float[Array, ""]:
     return (sizes[:, 0] * sizes[:, 1]).sum()
 
 
-def _clip(clusters: Clusters, views: Views, nearest: Array, options: Options) -> Float[Array, "c 4"]:
-    """Near planes: mirrors themselves, and for curved clusters across the view's axis before the first of its points.
+def _clip(mirrors: Mirrors, clusters: Clusters, views: Views, options: Options) -> Float[Array, "c 4"]:
+    """Near planes: mirrors themselves, and for curved clusters a plane behind all of their points.
 
-    All lie ahead of the reflector's own points by their rounding error, or behind them.
+    Of the planes from across the mean normal to across the view's axis the first one that all rays leave, and that has
+    the eye behind it. All lie ahead of the reflector's own points by their rounding error, or behind them.
     """
-    forward = views.axes[:, 2]
-    across = jnp.concatenate([forward, -(dot(forward, views.eye) + nearest - 2 * clusters.p_error)[:, None]], -1)
+    label, capacity = clusters.label, clusters.pixels.shape[0]
     level = dot(clusters.normal, clusters.centre) + 2 * clusters.p_error
-    along = jnp.concatenate([clusters.normal, -level[:, None]], -1)
-    return jnp.where((clusters.planar | (options.near == "centre"))[:, None], along, across)
+    chosen = jnp.concatenate([clusters.normal, -level[:, None]], -1)
+    settled = clusters.planar | (options.near == "centre")
+    for share in TILTS:
+        across = normalise(clusters.normal + (views.axes[:, 2] - clusters.normal) * share)
+        height = smallest(label, dot(across[label], mirrors.p - views.eye[label]), capacity)
+        rising = smallest(label, dot(across[label], mirrors.wi), capacity)
+        free = (rising > 0) & (height > 4 * clusters.p_error)
+        level = dot(across, views.eye) + height - 2 * clusters.p_error
+        plane = jnp.concatenate([across, -level[:, None]], -1)
+        chosen = jnp.where((~settled & (free | (share == TILTS[-1])))[:, None], plane, chosen)
+        settled = settled | free
+    return chosen

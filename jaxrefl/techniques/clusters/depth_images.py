@@ -7,6 +7,8 @@ intersected with the triangle itself: flat things are exact at any resolution.
 Source: [WXKP14] §3.4.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,6 +29,8 @@ LAYERS = 8
 """How many unseen surfaces of its own reflector a camera's ray passes before it stops at one."""
 
 
+_ROUNDING = 1e-5
+"""Share of its depth by which a texel's ray starts before the points that its image begins at."""
 _LEFT = 1 / 64
 """Share of its length that is left of a ray whose hit was drawn; what the view does not see lies behind."""
 
@@ -40,15 +44,20 @@ class DepthImages(eqx.Module):
     """Radiance towards the view's eye; where nothing is seen that of the environment."""
     triangle: Int[Array, "n"]
     """Row in `Mesh.faces`; -1 where nothing is seen."""
+    begin: Float[Array, "n"] | None = None
+    """1 / z from which on the texel's image says what there is; None: from the clipping plane on."""
 
 
-def make_depth_images(frame: Frame, views: Views, needed: Bool[Array, "m"], *, options: Options) -> DepthImages:
+def make_depth_images(
+    frame: Frame, views: Views, needed: Bool[Array, "m"], begin: Float[Array, "m"] | None = None, *, options: Options
+) -> DepthImages:
     """Render what all views see.
 
     Args:
         frame: Scene, key and tracer.
         views: The views.
         needed: Which texels to render; nothing is seen at the others.
+        begin: From `begin_texels`; None: images begin at the clipping plane.
         options: Light, bounces and block size.
     Returns:
         Depth images.
@@ -56,13 +65,13 @@ def make_depth_images(frame: Frame, views: Views, needed: Bool[Array, "m"], *, o
     """
     room, count = needed.shape[0], texel_count(views)
     mesh = frame.scene.mesh
-    drawn = draw_triangles(mesh, views, room=room) if options.maker == "raster" else None
+    drawn = draw_triangles(mesh, views, room=room, begin=begin) if options.maker == "raster" else None
     nothing = lambda: jnp.zeros((room, 3), jnp.float32)  # noqa: E731  each is written in place
     images = DepthImages(nothing(), nothing(), jnp.full(room, -1, jnp.int32))
     follow = following_mirrors(options)
     key = jax.random.fold_in(frame.key, 1)
     for number, texel in enumerate(blocks_of(needed, size=options.block)):
-        rays, view, active = _rays(views, texel, count)
+        rays, view, active = _rays(views, begin, texel, count)
         if drawn is None:
             rays, hits = cast_views(frame, rays, view, views, active)
         else:
@@ -72,12 +81,20 @@ def make_depth_images(frame: Frame, views: Views, needed: Bool[Array, "m"], *, o
         )
         index = jnp.where(active, texel, -1)
         images = put_block(index, images, _texels(views, view, light), batch_dims=1)
-    return images
+    return dataclasses.replace(images, begin=begin)
 
 
 @jax.jit
-def _rays(views: Views, texel: Int[Array, "n"], count: Int[Array, ""]) -> tuple[Rays, Int[Array, "n"], Array]:
+def _rays(
+    views: Views, begin: Array | None, texel: Int[Array, "n"], count: Int[Array, ""]
+) -> tuple[Rays, Int[Array, "n"], Array]:
     rays, view, sees = view_rays(views, jnp.maximum(texel, 0))
+    if begin is not None:
+        _, z = in_view(views, view, rays.origin)
+        left = jnp.maximum((1 - _ROUNDING) / begin[jnp.maximum(texel, 0)] - z, 0)
+        rays = Rays(
+            rays.origin + rays.direction * (left / dot_axis(views, view, rays.direction, 2))[:, None], rays.direction
+        )
     return rays, view, (texel >= 0) & (texel < count) & sees
 
 

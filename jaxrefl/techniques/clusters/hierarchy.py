@@ -18,16 +18,20 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl.rays.views import Views, place_texels
 from jaxrefl.techniques.clusters.traverse import (
+    TOUCH,
     Crossing,
     Lines,
+    Texels,
     Walk,
     begin_walk,
     finish_walk,
+    is_unknown,
     meet,
     place_on,
     plane_at,
     share_at,
     steps_of,
+    texels_of,
 )
 
 _LEVELS = 6
@@ -45,6 +49,8 @@ class Pyramid(eqx.Module):
     """Least 1 / z of each cell and its neighbours."""
     high: Float[Array, "k"]
     """Largest."""
+    begin: Float[Array, "k"] | None
+    """Least 1 / z at which their images begin; None: at the clipping plane."""
     first: Int[Array, "l c"]
     """First cell of each level and view."""
     size: Int[Array, "l c 2"]
@@ -52,18 +58,20 @@ class Pyramid(eqx.Module):
 
 
 @jax.jit
-def pyramid_of(plane: Float[Array, "m 3"], views: Views) -> Pyramid:
+def pyramid_of(plane: Float[Array, "m 3"], views: Views, begin: Float[Array, "m"] | None = None) -> Pyramid:
     """Bounds of the planes of depth images.
 
     Args:
         plane: Of `DepthImages`.
         views: Their views.
+        begin: Of `DepthImages`.
     Returns:
         The pyramid.
     """
+    start_of = plane[:, 0] if begin is None else begin
     rise = _REACH * (jnp.abs(plane[:, 1]) + jnp.abs(plane[:, 2]))
     low, high = plane[:, 0] - rise, plane[:, 0] + rise
-    level, lows, highs, firsts, sizes, start = views, [], [], [], [], 0
+    level, lows, highs, begins, firsts, sizes, start = views, [], [], [], [], [], 0
     for number in range(1, _LEVELS + 1):
         size = (level.size + 1) // 2
         count = size[:, 0] * size[:, 1]
@@ -72,12 +80,15 @@ def pyramid_of(plane: Float[Array, "m 3"], views: Views) -> Pyramid:
         cells = (plane.shape[0] >> number) + views.offset.shape[0]
         low, high = _halved(level, coarse, low, high, cells)
         wide_low, wide_high = _widened(coarse, low, high)
+        start_of, _ = _halved(level, coarse, start_of, start_of, cells)
+        begins.append(_widened(coarse, start_of, start_of)[0])
         lows.append(wide_low)
         highs.append(wide_high)
         firsts.append(coarse.offset + start)
         sizes.append(size)
         level, start = coarse, start + cells
-    return Pyramid(jnp.concatenate(lows), jnp.concatenate(highs), jnp.stack(firsts), jnp.stack(sizes))
+    begins = None if begin is None else jnp.concatenate(begins)
+    return Pyramid(jnp.concatenate(lows), jnp.concatenate(highs), begins, jnp.stack(firsts), jnp.stack(sizes))
 
 
 def _cell(level: Views, view: Array, column: Array, row: Array) -> Array:
@@ -107,7 +118,7 @@ def _widened(level: Views, low: Array, high: Array) -> tuple[Array, Array]:
 @functools.partial(jax.jit, static_argnames="steps")
 def follow_levels(
     plane: Float[Array, "m 3"], pyramid: Pyramid, lines: Lines, view: Int[Array, "n"], active: Bool[Array, "n"], *,
-    steps: int,
+    steps: int, begin: Float[Array, "m"] | None = None,
 ) -> Crossing:  # fmt: skip
     """Follow rays through their depth images, as `follow` does.
 
@@ -118,6 +129,7 @@ def follow_levels(
         view: View of each ray.
         active: Which rays to follow; the others are `NO_CAMERA`.
         steps: Most steps of a ray that passes nothing; longer lines take longer ones.
+        begin: Of `DepthImages`.
     Returns:
         Crossings; `steps` counts single steps and tests of cells alike.
     """
@@ -127,15 +139,13 @@ def follow_levels(
     def blocks(x: Array) -> Array:
         return jnp.pad(x, ((0, padding), *((0, 0),) * (x.ndim - 1))).reshape(-1, _BLOCK, *x.shape[1:])
 
-    planes = (plane[:, 0], plane[:, 1], plane[:, 2])
+    planes = texels_of(plane, begin)
     parts = jax.tree.map(blocks, (lines, view, active))
     ended = jax.lax.map(lambda part: _follow_block(planes, pyramid, part[0], part[1], part[2], steps), parts)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], ended)
 
 
-def _follow_block(
-    planes: tuple[Array, Array, Array], pyramid: Pyramid, lines: Lines, view: Array, active: Array, steps: int
-) -> Crossing:
+def _follow_block(planes: Texels, pyramid: Pyramid, lines: Lines, view: Array, active: Array, steps: int) -> Crossing:
     number = steps_of(lines, active, steps)
     length = jnp.abs(lines.end - lines.start).max(-1)
     per_texel = number.astype(jnp.float32) / jnp.maximum(length, number.astype(jnp.float32))
@@ -145,7 +155,7 @@ def _follow_block(
         walk, at, level, count = state
         going = ~walk.done
         jump = jnp.floor(jnp.exp2(level.astype(jnp.float32)) * per_texel).astype(jnp.int32)
-        passes = (level > 0) & (jump > 0) & _nothing_met(pyramid, lines, view, number, at, level, jump, walk.front)
+        passes = (level > 0) & (jump > 0) & _nothing_met(pyramid, lines, view, number, at, level, jump, walk)
         now_at, was_at = share_at(number, at + 1), share_at(number, at)
         met = meet(
             plane_at(planes, lines, number, at + 1), plane_at(planes, lines, number, at), was_at, now_at, walk.front
@@ -158,8 +168,9 @@ def _follow_block(
         walk = Walk(
             plane=walk.plane,
             plane_before=walk.plane_before,
+            unknown=walk.unknown,
             front=jnp.where(single, met.front, walk.front),
-            hidden=walk.hidden | (single & met.lost),
+            hidden=walk.hidden | (single & (met.lost | (~met.hit & is_unknown(planes, lines, number, at + 1)))),
             done=walk.done | hit | over,
             share=jnp.where(hit, met.place, walk.share),
             last=jnp.where(hit, at + 1 - met.before.astype(jnp.int32), walk.last),
@@ -174,7 +185,7 @@ def _follow_block(
 
 
 def _nothing_met(
-    pyramid: Pyramid, lines: Lines, view: Array, number: Array, at: Array, level: Array, jump: Array, front: Array
+    pyramid: Pyramid, lines: Lines, view: Array, number: Array, at: Array, level: Array, jump: Array, walk: Walk
 ) -> Bool[Array, "n"]:
     """Whether rays stay before, or behind, everything for the next steps."""
     share, then = share_at(number, at), share_at(number, at + jump)
@@ -186,4 +197,7 @@ def _nothing_met(
     here, there = lines.start_z + change * share, lines.start_z + change * then
     before = jnp.minimum(here, there) > pyramid.high[cell]
     behind = jnp.maximum(here, there) < pyramid.low[cell]
-    return jnp.where(front, before, behind)
+    clear = jnp.where(walk.front, before, behind)
+    if pyramid.begin is None:
+        return clear
+    return clear & (walk.hidden | (jnp.maximum(here, there) <= pyramid.begin[cell] * (1 + TOUCH)))

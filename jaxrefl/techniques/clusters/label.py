@@ -7,14 +7,16 @@ Source: [WXKP14] §3.2.
 """
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrefl.core import dot
 from jaxrefl.core.safe import normalise
-from jaxrefl.techniques.clusters.bins import MOST, fineness, octahedral_bin, spherical_bin
+from jaxrefl.techniques.clusters.bins import MOST, fineness, octahedral_bin, octahedral_cell, spherical_bin
 from jaxrefl.techniques.clusters.cluster import FLAT, LEVEL, Mirrors
 from jaxrefl.techniques.clusters.segments import first_pixel, largest, smallest, sums
 from jaxrefl.techniques.clusters.split import split_labels
@@ -22,8 +24,16 @@ from jaxrefl.techniques.clusters.types import Options, Params
 
 _SMALL = 4096
 """A plane that fills less than this fraction of the image is not told from the rest of its reflector."""
+_SIDE, _CELLS = 64, 1 << 22
+"""Cells along the map of normals that tells planes apart, 2.5 degrees each; with many objects fewer, all together."""
+_TURN = np.linalg.qr(np.array([[3.0, 1.0, 2.0], [-1.0, 4.0, 1.0], [1.0, -2.0, 5.0]]))[0].astype(np.float32)
+"""Turned by this, normals along the axes of a scene do not fall on the limits of cells."""
 _PLANES = 16
 """Most groups of parallel planes that a bin, or such a group, is split into."""
+APART = 0.2
+"""Cosine of the angle to the mean of its cluster's rays from which a ray is set apart, 78 degrees."""
+_FLAT_SHARE = 75
+"""Percent of the clusters that planes may take; the others are for what is curved."""
 _TWICE = 2
 """How often: 256 evenly spaced planes, or fewer that are not, are told apart."""
 
@@ -41,13 +51,35 @@ def label_pixels(
         options: `clusters`, `capacity`.
     Returns:
         Labels, -1 where there is no mirror ray; and how many clusters there would be without a limit.
-    Edge cases: what comes after the last cluster there is room for is merged into it.
+    Edge cases: what comes after the last cluster there is room for is merged into it. Rays that no camera of their
+        cluster can see, and that it would have none for, are in the last cluster of all, which has none.
     """
+    room = max(options.capacity - 1, 1)
     if options.clusters != "split":
-        return by_normals(mirrors, params, objects=objects, bins=options.clusters, capacity=options.capacity)
-    label, count = by_reflector(mirrors, objects=objects, capacity=options.capacity)
-    label, wanted = split_labels(mirrors, label, eye, params, capacity=options.capacity)
-    return label, jnp.maximum(count, wanted)
+        label, wanted = by_normals(mirrors, params, objects=objects, bins=options.clusters, capacity=room)
+    else:
+        label, count = by_reflector(mirrors, objects=objects, capacity=max(room * _FLAT_SHARE // 100, 1))
+        label, wanted = split_labels(mirrors, label, eye, params, capacity=room)
+        wanted = jnp.maximum(count, wanted)
+    return set_apart(mirrors, label, capacity=options.capacity), wanted
+
+
+@functools.partial(jax.jit, static_argnames="capacity")
+def set_apart(mirrors: Mirrors, label: Int[Array, "n"], *, capacity: int) -> Int[Array, "n"]:
+    """Move rays that turn away from those of their cluster into the last cluster.
+
+    Args:
+        mirrors: Mirror rays.
+        label: Clusters below the last one; -1 for none.
+        capacity: How many clusters there are room for.
+    Returns:
+        Labels; those given, if there is room for one cluster alone.
+    """
+    for _ in range(_TWICE):
+        mean = normalise(sums(label, mirrors.wi, capacity))
+        away = (label >= 0) & (dot(mirrors.wi, mean[label]) < APART)
+        label = jnp.where(away, capacity - 1, label)
+    return label
 
 
 @functools.partial(jax.jit, static_argnames=("objects", "capacity"))
@@ -61,14 +93,17 @@ def by_reflector(mirrors: Mirrors, *, objects: int, capacity: int) -> tuple[Int[
     Returns:
         Labels, and how many there would be without a limit.
     Edge cases: flat pixels that are few, or fewer than others with about their normal, count as curved: so do the
-        middles of a sphere's triangles.
+        middles of a sphere's triangles, and planes there is no room for.
     """
-    whole, keys = mirrors.object * (MOST + 1) + MOST, objects * (MOST + 1)
-    plane = mirrors.object * (MOST + 1) + octahedral_bin(mirrors.normal, jnp.ones_like(mirrors.t))
+    side = min(_SIDE, math.isqrt(_CELLS // objects))
+    column, row = octahedral_cell(mirrors.normal @ _TURN, side)
+    plane, planes = (mirrors.object * side + row) * side + column, objects * side * side
     flat = mirrors.valid & mirrors.flat
-    pixels, all_of_them = (jax.ops.segment_sum(m.astype(jnp.int32), plane, keys) for m in (flat, mirrors.valid))
-    many = (pixels * _SMALL > mirrors.t.shape[0]) & (2 * pixels > all_of_them)
-    label, count = _compact(jnp.where(flat & many[plane], plane, whole), mirrors.valid, keys)
+    pixels, all_of_them = (jax.ops.segment_sum(m.astype(jnp.int32), plane, planes) for m in (flat, mirrors.valid))
+    least = jax.lax.top_k(pixels, min(capacity, planes))[0][-1]
+    many = (pixels >= least) & (pixels * _SMALL > mirrors.t.shape[0]) & (2 * pixels > all_of_them)
+    key = jnp.where(flat & many[plane], plane + objects, mirrors.object)
+    label, count = _compact(key, mirrors.valid, planes + objects)
     return _by_plane(mirrors, jnp.minimum(label, capacity - 1), count, capacity)
 
 

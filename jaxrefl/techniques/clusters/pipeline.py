@@ -18,6 +18,7 @@ from jaxrefl.radiance import diffuse_light
 from jaxrefl.techniques._captured import capture_reflectors
 from jaxrefl.techniques._tracing import following_mirrors, trace_refracted
 from jaxrefl.techniques.clusters.answer import Surroundings, answer
+from jaxrefl.techniques.clusters.begin import begin_texels
 from jaxrefl.techniques.clusters.cameras import cluster_cameras
 from jaxrefl.techniques.clusters.cluster import describe, mirrors_of
 from jaxrefl.techniques.clusters.concave import image_of_concave
@@ -84,14 +85,15 @@ def step(
     cameras = timed("cameras", cameras)
     room = options.room(frame.gbuffer.t.size)
     needed = needed_texels(cameras, clusters, mirrors, room=room, block=options.block)
-    images = timed("images", make_depth_images(frame, cameras.views, needed, options=options))
+    begin = begin_texels(cameras, clusters, mirrors, room=room) if options.near == "pixels" else None
+    images = timed("images", make_depth_images(frame, cameras.views, needed, begin, options=options))
     diffuse, itself = None, None
     if options.far == "glossiness" or options.concave == "cluster":
         light = following_mirrors(options).light
         diffuse = diffuse_light(scene, frame.tracer, frame.gbuffer, frame.key, options=light)
         itself = image_of_concave(camera, frame.gbuffer, clusters, diffuse) if options.concave == "cluster" else None
     fading = diffuse if options.far == "glossiness" else None
-    pyramid = pyramid_of(images.plane, cameras.views) if options.search == "pyramid" else None
+    pyramid = pyramid_of(images.plane, cameras.views, images.begin) if options.search == "pyramid" else None
     around = Surroundings(scene.mesh, scene.lights, cameras, images, state.maps, pyramid, itself, fading)
     found = timed("intersect", answer(frame, label.reshape(shape), around, options=options))
     transmitted = timed("transmit", trace_refracted(frame, options=options))

@@ -17,7 +17,7 @@ from jaxrefl.core import dot
 from jaxrefl.core.safe import divide
 from jaxrefl.techniques.clusters.cluster import Clusters, Mirrors, describe
 from jaxrefl.techniques.clusters.eye import mirrored_eye, nearest_point
-from jaxrefl.techniques.clusters.segments import largest, sums
+from jaxrefl.techniques.clusters.segments import sums
 from jaxrefl.techniques.clusters.types import Params
 
 STRIDE = 3
@@ -88,11 +88,10 @@ def _cost(mirrors: Mirrors, clusters: Clusters, eye: Array, params: Params) -> F
     along = dot(from_eye, mirrors.wi)
     missed = from_eye - mirrors.wi * along[:, None]
     square = divide(dot(missed, missed), dot(from_eye, from_eye))
-    total = sums(label, jnp.where(along > 0, square, 1.0), capacity)
-    narrow = -largest(label, -dot(mirrors.wi, clusters.forward[label]), capacity)
+    wide = dot(mirrors.wi, clusters.forward[label]) < WIDEST
+    total = sums(label, jnp.where((along > 0) & ~wide, square, 1.0), capacity)
     pixels = clusters.pixels.astype(total.dtype)
-    poor = (total > pixels * params.disparity**2) | (narrow < WIDEST)
-    total = jnp.where(narrow < WIDEST, pixels, total)
+    poor = total > pixels * params.disparity**2
     return jnp.where(poor & ~clusters.planar & (STRIDE * pixels >= 2 * params.smallest), total, 0)
 
 

@@ -106,6 +106,23 @@ def distance_along(lines: Lines, share: Float[Array, "n"], reach: Float[Array, "
     return reach * share * lines.end_z / jnp.where(depth > 0, depth, 1)
 
 
+class Texels(NamedTuple):
+    """What a walk reads of depth images, each [m]."""
+
+    level: Array
+    """1 / z at texels' centres."""
+    slope_x: Array
+    slope_y: Array
+    """Its change from texel to texel."""
+    begin: Array | None
+    """1 / z beyond which nothing is known; None: there is no such limit."""
+
+
+def texels_of(plane: Float[Array, "m 3"], begin: Float[Array, "m"] | None) -> Texels:
+    """Depth images, component by component: XLA gathers single numbers faster than rows."""
+    return Texels(plane[:, 0], plane[:, 1], plane[:, 2], begin)
+
+
 class Walk(NamedTuple):
     """Rays on their way."""
 
@@ -113,10 +130,12 @@ class Walk(NamedTuple):
     """How far the ray is before the plane of the last step's texel, a + b share of its length, as a + i b."""
     plane_before: Array
     """The same of the step before."""
+    unknown: Array
+    """True: nearer than where the image of the last step's texel begins."""
     front: Array
     """True: before what the texel shows."""
     hidden: Array
-    """True: has been behind something."""
+    """True: has been behind something, or where nothing is known."""
     done: Array
     share: Array
     """Where it ended, 1 at the far end."""
@@ -125,7 +144,10 @@ class Walk(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames="steps")
-def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *, steps: int) -> Crossing:
+def follow(
+    plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *, steps: int,
+    begin: Float[Array, "m"] | None = None,
+) -> Crossing:  # fmt: skip
     """Follow rays through their depth images.
 
     Args:
@@ -133,6 +155,7 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
         lines: Images of the rays.
         active: Which rays to follow; the others are `NO_CAMERA`.
         steps: Most steps; longer lines take longer ones.
+        begin: Of `DepthImages`.
     Returns:
         Crossings.
     Edge cases: a ray whose image is a point, as those of planar clusters are, takes one step. A ray that starts
@@ -141,7 +164,7 @@ def follow(plane: Float[Array, "m 3"], lines: Lines, active: Bool[Array, "n"], *
     Differs from the source: it takes any crossing of the two polylines for a hit, that of the step from the
         background to an object before it too; here both texels' planes are asked first.
     """
-    planes = (plane[:, 0], plane[:, 1], plane[:, 2])
+    planes = texels_of(plane, begin)
     n = active.shape[0]
     number = steps_of(lines, active, steps)
     # What all rays do first needs no blocks; those of planar clusters have ended after that.
@@ -186,12 +209,13 @@ def place_on(lines: Lines, share: Array) -> tuple[Array, Array]:
     return jnp.clip(column, 0, most[:, 0]), jnp.clip(row, 0, most[:, 1])
 
 
-def begin_walk(planes: tuple[Array, Array, Array], lines: Lines, number: Array) -> Walk:
+def begin_walk(planes: Texels, lines: Lines, number: Array) -> Walk:
     """Rays at their near ends, for `number` steps each."""
     zero = jnp.zeros_like(lines.start_z)
     first, second = (plane_at(planes, lines, number, jnp.full((), i, jnp.int32)) for i in range(2))
     touching = jnp.real(first) > -TOUCH * lines.start_z
-    return Walk(second, first, touching, ~touching, number <= 0, zero + 1, jnp.full(zero.shape, -1, jnp.int32))
+    unknown = is_unknown(planes, lines, number, jnp.full((), 1, jnp.int32))
+    return Walk(second, first, unknown, touching, ~touching, number <= 0, zero + 1, jnp.full(zero.shape, -1, jnp.int32))
 
 
 def share_at(number: Array, step: Array) -> Array:
@@ -199,18 +223,30 @@ def share_at(number: Array, step: Array) -> Array:
     return jnp.minimum(step.astype(jnp.float32) / jnp.maximum(number, 1).astype(jnp.float32), 1)
 
 
-def plane_at(planes: tuple[Array, Array, Array], lines: Lines, number: Array, step: Array) -> Array:
+def plane_at(planes: Texels, lines: Lines, number: Array, step: Array) -> Array:
     """How far each ray is before the plane of its texel at a step: a + b share, as a + i b."""
-    level, slope_x, slope_y = planes
-    column, row = place_on(lines, share_at(number, step))
-    at = lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column
-    z, gx, gy = level[at], slope_x[at], slope_y[at]
+    at, column, row = _texel_at(lines, number, step)
+    z, gx, gy = planes.level[at], planes.slope_x[at], planes.slope_y[at]
     u = lines.start[:, 0] - column.astype(jnp.float32) - 0.5
     v = lines.start[:, 1] - row.astype(jnp.float32) - 0.5
     dx, dy = lines.end[:, 0] - lines.start[:, 0], lines.end[:, 1] - lines.start[:, 1]
     ahead = lines.start_z - (z + gx * u + gy * v)
     change = lines.end_z - lines.start_z - (gx * dx + gy * dy)
     return together(ahead, change)
+
+
+def is_unknown(planes: Texels, lines: Lines, number: Array, step: Array) -> Bool[Array, "n"]:
+    """Whether rays are, at a step, nearer than where the image of their texel begins."""
+    if planes.begin is None:
+        return jnp.zeros(number.shape, bool)
+    at, _, _ = _texel_at(lines, number, step)
+    z = lines.start_z + (lines.end_z - lines.start_z) * share_at(number, step)
+    return z > planes.begin[at] * (1 + TOUCH)
+
+
+def _texel_at(lines: Lines, number: Array, step: Array) -> tuple[Array, Array, Array]:
+    column, row = place_on(lines, share_at(number, step))
+    return lines.offset + row * jnp.maximum(lines.size[:, 0], 1) + column, column, row
 
 
 class Meeting(NamedTuple):
@@ -252,9 +288,7 @@ def meet(plane: Array, plane_before: Array, was_at: Array, now_at: Array, front:
     return Meeting(hit, there, was_at + (now_at - was_at) * part, now > 0, crossed & ~hit)
 
 
-def _advance(
-    planes: tuple[Array, Array, Array], lines: Lines, number: Array, walk: Walk, step: Array, count: int
-) -> Walk:
+def _advance(planes: Texels, lines: Lines, number: Array, walk: Walk, step: Array, count: int) -> Walk:
     """Take `count` steps, of which `step` is the first whose plane has not been read.
 
     A step reads the plane of its texel and does no more; it is tested in the next one. So what is gathered has one
@@ -272,8 +306,9 @@ def _advance(
         return ahead + 1, Walk(
             plane=plane_at(planes, lines, number, ahead),
             plane_before=walk.plane,
+            unknown=is_unknown(planes, lines, number, ahead),
             front=jnp.where(going, met.front, walk.front),
-            hidden=walk.hidden | (going & met.lost),
+            hidden=walk.hidden | (going & (met.lost | (~met.hit & walk.unknown))),
             done=walk.done | hit | (now_at >= lines.within),
             share=jnp.where(hit, met.place, walk.share),
             last=jnp.where(hit, step - met.before.astype(jnp.int32), walk.last),

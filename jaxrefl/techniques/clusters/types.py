@@ -101,7 +101,9 @@ class Options(TraceOptions):
         choices=("near", "ends"),
     )
     near: str = option(
-        "behind", "Where they begin to see: behind all of the cluster, or at its centre.", choices=("behind", "centre")
+        "pixels",
+        "Where they begin to see: where each texel's rays start, behind all of the cluster, or at its centre.",
+        choices=("pixels", "behind", "centre"),
     )
     far: str = option(
         "scene",
