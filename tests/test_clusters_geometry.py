@@ -23,6 +23,7 @@ from jaxrefl.techniques.clusters.bins import AZIMUTHS, POLARS, SIDE, octahedral_
 from jaxrefl.techniques.clusters.cameras import cluster_cameras
 from jaxrefl.techniques.clusters.cluster import Mirrors, describe
 from jaxrefl.techniques.clusters.eye import displacement, mirrored_eye, nearest_point
+from jaxrefl.techniques.clusters.label import set_apart
 from jaxrefl.techniques.clusters.traverse import project_rays
 
 
@@ -96,6 +97,27 @@ def test_a_plane_is_one_cluster_and_parallel_planes_are_not(ball_room: Frame):
             frame = frame_of(stair(steps), eye=(0, 3, 4), target=(0, 0, -1))
             _, found, *_ = clusters_of(frame, clusters=kind)
             assert int((found.pixels > 0).sum()) == steps and int(found.planar.sum()) == steps, kind
+
+
+def test_planes_tilted_by_a_few_degrees_are_told_apart():
+    """Facets of one object, five degrees from each other: one planar cluster each."""
+    parts = []
+    for i, angle in enumerate(np.radians([0, 5, 10])):
+        strip = np.array([[-2, 0, 0], [-2, 0, 1], [2, 0, 1], [2, 0, 0]]) @ np.array(
+            [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+        )
+        parts.append(Part("facets", strip - [0, 0, 1.2 * i - 1], QUAD, mirror("m")))
+    _, found, *_ = clusters_of(frame_of([*parts, *checks("back")], eye=(0, 3, 4)))
+    assert int((found.pixels > 0).sum()) == 3 and int(found.planar.sum()) == 3
+
+
+def test_rays_that_turn_away_from_their_cluster_are_set_apart():
+    mirrors = degenerate("one point")
+    label = jnp.zeros(16, jnp.int32)
+    wi = mirrors.wi.at[3].multiply(-1.0)
+    moved = set_apart(dataclasses.replace(mirrors, wi=wi), label, capacity=4)
+    assert moved[3] == 3 and int((moved == 0).sum()) == 15
+    assert (set_apart(dataclasses.replace(mirrors, wi=wi), label, capacity=1) == 0).all()
 
 
 # Eyes and cameras

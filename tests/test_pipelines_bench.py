@@ -71,6 +71,19 @@ def test_a_quick_benchmark_of_reprojection_writes_its_tables(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_quick_benchmark_of_clusters_writes_its_tables(tmp_path):
+    scenes = ["mirror_room", "roughness_steps"]
+    assert main(["--clusters", *scenes, "--quick", "--part", "all", "--out", str(tmp_path)]) == 0
+    for part in ("errors", "knobs", "times", "rough", "growth"):
+        tables = json.loads((tmp_path / f"clusters_{part}.json").read_text())
+        assert tables.pop("stamp") and all(rows for rows in tables.values()), part
+    (errors,) = (v for k, v in json.loads((tmp_path / "clusters_errors.json").read_text()).items() if k != "stamp")
+    by_method = {row["method"]: row for row in errors if row["scene"] == "mirror_room"}
+    assert by_method["clusters, traced"]["wrong %"] < by_method["envmap"]["wrong %"]
+    assert (tmp_path / "clusters_mirror_room.png").exists() and (tmp_path / "clusters_knobs.png").exists()
+
+
+@pytest.mark.slow
 def test_a_quick_convergence_benchmark_writes_its_table(tmp_path):
     assert main(["--path", "--quick", "--out", str(tmp_path)]) == 0
     (rows,) = (v for k, v in json.loads((tmp_path / "path_convergence.json").read_text()).items() if "Slope" in k)

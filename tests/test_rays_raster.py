@@ -109,14 +109,15 @@ def test_clipping_planes_and_unseen_sides():
     mesh = dataclasses.replace(mesh, object=jnp.array([0, 1], jnp.int32))
     views = view_of(look_at((0, 0, 4), (0, 0, 0), size=(6, 4)))
 
-    def first_seen(**changes) -> int:
-        return int(draw_triangles(mesh, dataclasses.replace(views, **changes), room=24).max())
+    def first_seen(begin=None, **changes) -> int:
+        return int(draw_triangles(mesh, dataclasses.replace(views, **changes), room=24, begin=begin).max())
 
     assert first_seen() == 0
     assert first_seen(clip=jnp.array([[0, 0, -1, -1]], jnp.float32)) == 1
     assert first_seen(own=jnp.zeros(1, jnp.int32), unseen=jnp.ones(1, jnp.int32)) == 1
     assert first_seen(own=jnp.zeros(1, jnp.int32), unseen=jnp.full(1, 2, jnp.int32)) == 0
     assert first_seen(clip=jnp.array([[0, 0, -1, -3]], jnp.float32)) == -1
+    assert first_seen(begin=jnp.full(24, 1 / 5, jnp.float32)) == 1 and first_seen(begin=jnp.full(24, 1 / 7)) == -1
 
 
 def test_two_views_of_one_list_are_compiled_once():

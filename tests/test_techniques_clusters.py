@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cluster_rooms import EYE, KINDS, SIZE, checks, clusters_of, frame_of, room, run
-from shapes import ball, floor
+from shapes import QUAD, ball, floor
 
 from jaxrefl._types import Frame
 from jaxrefl.core import look_at
 from jaxrefl.core.safe import norm
 from jaxrefl.rays import in_view, view_of
-from jaxrefl.scene.description import Part, glossy, matte, mirror
+from jaxrefl.scene.description import Image, Part, glossy, matte, mirror
 from jaxrefl.techniques import clusters, raytrace
 from jaxrefl.techniques.clusters import Found, Params
 from jaxrefl.techniques.clusters.cameras import cluster_cameras
@@ -62,7 +62,7 @@ def test_repairs(ball_room: Frame):
     truth, _ = run(raytrace, ball_room)
     shown, error, known = np.asarray(truth.valid), {}, {}
     for repair in ("none", "environment", "trace"):
-        image, info = run(clusters, ball_room, repair=repair, capacity=6)
+        image, info = run(clusters, ball_room, repair=repair, capacity=4)
         difference = np.abs(np.asarray(image.radiance - truth.radiance)).mean(-1)
         error[repair], known[repair] = difference[shown].mean(), np.asarray(image.valid)[shown].mean()
     assert info.counts["disoccluded"] > 0.05
@@ -74,12 +74,48 @@ def test_repairs(ball_room: Frame):
 def test_what_is_disoccluded_is_found(ball_room: Frame):
     """Pixels whose reflected point is wrong are nearly all marked; without marks only edges are cut differently."""
     truth, _ = run(raytrace, ball_room)
-    image, info = run(clusters, ball_room, repair="none", capacity=6)
+    image, info = run(clusters, ball_room, repair="none", capacity=3)
     shown = np.asarray(truth.valid)
     wrong = shown & (np.asarray(norm(image.p - truth.p)) > 0.05 * np.asarray(truth.t + ball_room.gbuffer.t))
     wrong = wrong | (shown & ~np.asarray(image.valid))
     marked = np.asarray(info.found) >= Found.PASSED
     assert (wrong & ~marked).sum() < 0.05 * shown.sum() and (wrong & marked).sum() > 0.05 * shown.sum()
+
+
+@pytest.mark.parametrize("maker", ["rays", "raster"])
+def test_images_begin_where_rays_start(maker: str):
+    """A plate inside the ball, of the same object: between a camera's eye and where the rays of its cluster start."""
+    shape = ball("ball", mirror("m"), centre=(0, 0.6, 0), radius=0.6)
+    plate = np.array([[-0.4, 0.3, 0.38], [-0.4, 0.9, 0.38], [0.4, 0.9, 0.38], [0.4, 0.3, 0.38]])
+    faces = np.concatenate([shape.faces, QUAD + len(shape.vertices), QUAD[:, ::-1] + len(shape.vertices)])
+    normals = np.concatenate([shape.normals, np.tile([0.0, 0.0, -1.0], (4, 1))])
+    vertices = np.concatenate([shape.vertices, plate])
+    frame = room(dataclasses.replace(shape, vertices=vertices, faces=faces, normals=normals))
+    truth, _ = run(raytrace, frame)
+    hidden, off = [], []
+    for near in ("behind", "pixels"):
+        image, info = run(clusters, frame, near=near, capacity=2, maker=maker, repair="none")
+        found = np.asarray(info.found)
+        hidden.append((found == Found.HIDDEN).sum() / info.counts["reflective_pixels"])
+        clean = (found == Found.SURFACE) & np.asarray(truth.t > 0)
+        off.append((np.asarray(norm(image.p - truth.p))[clean] > 0.1).mean())
+    assert hidden[0] > 0.1 and hidden[1] < 0.5 * hidden[0] and off[1] < 0.05, (hidden, off)
+
+
+def test_normal_maps_bend_the_rays():
+    """A mirror floor whose texture tilts it this way and that: its clusters see what tracing sees."""
+    tilt = np.full((1, 16, 4), 255, np.uint8)
+    tilt[0, :, 0], tilt[0, :, 1], tilt[0, :, 2] = np.rint(127.5 + 30 * np.sin(np.arange(16) / 16 * 2 * np.pi)), 128, 252
+    material = dataclasses.replace(mirror("m"), normal_texture=Image("tilt", tilt))
+    uv = np.array([[0, 0], [0, 1], [4, 1], [4, 0]], np.float64)
+    mapped = dataclasses.replace(floor("m", material), uv=uv)
+    frame, plain = (frame_of([p, *checks("back")]) for p in (mapped, floor("m", mirror("m"))))
+    truth, flat = (run(raytrace, f)[0] for f in (frame, plain))
+    shown = np.asarray(truth.valid)
+    changed = np.abs(np.asarray(truth.radiance - flat.radiance)).mean(-1)[shown].mean()
+    image, info = run(clusters, frame)
+    error = np.abs(np.asarray(image.radiance - truth.radiance)).mean(-1)[shown].mean()
+    assert info.counts["clusters"] > 3 and error < 0.25 * changed, (info.counts, error, changed)
 
 
 def test_cutting_clusters_makes_no_seams(ball_room: Frame):

@@ -28,6 +28,8 @@ LOBE_SLOPE = 3.0
 """Slope up to which a view is widened for rough lobes, 72 degrees off the axis."""
 COARSEST = 0.5
 """Largest slope per texel, 27 degrees; an image of coarser ones shows nothing that rays could be followed through."""
+SPARSEST, SMALL = 16, 64
+"""Most texels per pixel of a cluster, and the pixels that any cluster counts for at least."""
 _FINEST = 4
 """How much finer texels may be than the images of pixels themselves, where their rays' far ends lie closer together."""
 TILTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -110,8 +112,11 @@ def cluster_cameras(
     pixel = steps[0] if options.pitch == "near" else jnp.clip(steps[1], steps[0] / _FINEST, steps[0])
     pixel = jnp.where(pixel > 0, pixel, jnp.where(single > 0, single, 1))
     pitch = jnp.maximum(pixel, params.grain * clusters.alpha) / params.resolution
-    usable = usable & (pitch <= COARSEST)
     extent = jnp.where(usable[:, None], high - low, 0)
+    most = SPARSEST * jnp.square(params.resolution) * jnp.maximum(clusters.pixels, SMALL).astype(pitch.dtype)
+    pitch = jnp.maximum(pitch, jnp.sqrt(extent[:, 0] * extent[:, 1] / most))
+    usable = usable & (pitch <= COARSEST)
+    extent = jnp.where(usable[:, None], extent, 0)
     wanted = _texels(extent, pitch, usable)
     room = options.room(shape[0] * shape[1])
     # Margins do not shrink with the texels; a little more than the exact factor leaves room for them.
