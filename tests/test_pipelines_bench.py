@@ -72,15 +72,11 @@ def test_a_quick_benchmark_of_reprojection_writes_its_tables(tmp_path):
 
 @pytest.mark.slow
 def test_a_quick_benchmark_of_clusters_writes_its_tables(tmp_path):
-    scenes = ["mirror_room", "roughness_steps"]
-    assert main(["--clusters", *scenes, "--quick", "--part", "all", "--out", str(tmp_path)]) == 0
-    for part in ("errors", "knobs", "times", "rough", "growth"):
-        tables = json.loads((tmp_path / f"clusters_{part}.json").read_text())
-        assert tables.pop("stamp") and all(rows for rows in tables.values()), part
-    (errors,) = (v for k, v in json.loads((tmp_path / "clusters_errors.json").read_text()).items() if k != "stamp")
+    assert main(["--clusters", "mirror_room", "--quick", "--part", "errors", "--out", str(tmp_path)]) == 0
+    errors = json.loads((tmp_path / "clusters_errors.json").read_text())["Against ray tracing"]
     by_method = {row["method"]: row for row in errors if row["scene"] == "mirror_room"}
     assert by_method["clusters, traced"]["wrong %"] < by_method["envmap"]["wrong %"]
-    assert (tmp_path / "clusters_mirror_room.png").exists() and (tmp_path / "clusters_knobs.png").exists()
+    assert (tmp_path / "clusters_mirror_room.png").exists()
 
 
 @pytest.mark.slow
