@@ -28,11 +28,11 @@ LOBE_SLOPE = 3.0
 """Slope up to which a view is widened for rough lobes, 72 degrees off the axis."""
 COARSEST = 0.5
 """Largest slope per texel, 27 degrees; an image of coarser ones shows nothing that rays could be followed through."""
-SPARSEST, SMALL = 16, 64
+_SPARSEST, _SMALL = 16, 64
 """Most texels per pixel of a cluster, and the pixels that any cluster counts for at least."""
 _FINEST = 4
 """How much finer texels may be than the images of pixels themselves, where their rays' far ends lie closer together."""
-TILTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+_TILTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Near planes that are tried: how far from across the mean normal (0) towards across the view's axis (1)."""
 MARGIN = 2
 """Texels around what the rays need: for reading between texels, and so that neighbouring clusters overlap."""
@@ -113,7 +113,7 @@ def cluster_cameras(
     pixel = jnp.where(pixel > 0, pixel, jnp.where(single > 0, single, 1))
     pitch = jnp.maximum(pixel, params.grain * clusters.alpha) / params.resolution
     extent = jnp.where(usable[:, None], high - low, 0)
-    most = SPARSEST * jnp.square(params.resolution) * jnp.maximum(clusters.pixels, SMALL).astype(pitch.dtype)
+    most = _SPARSEST * jnp.square(params.resolution) * jnp.maximum(clusters.pixels, _SMALL).astype(pitch.dtype)
     pitch = jnp.maximum(pitch, jnp.sqrt(extent[:, 0] * extent[:, 1] / most))
     usable = usable & (pitch <= COARSEST)
     extent = jnp.where(usable[:, None], extent, 0)
@@ -234,13 +234,13 @@ def _clip(mirrors: Mirrors, clusters: Clusters, views: Views, options: Options) 
     level = dot(clusters.normal, clusters.centre) + 2 * clusters.p_error
     chosen = jnp.concatenate([clusters.normal, -level[:, None]], -1)
     settled = clusters.planar | (options.near == "centre")
-    for share in TILTS:
+    for share in _TILTS:
         across = normalise(clusters.normal + (views.axes[:, 2] - clusters.normal) * share)
         height = smallest(label, dot(across[label], mirrors.p - views.eye[label]), capacity)
         rising = smallest(label, dot(across[label], mirrors.wi), capacity)
         free = (rising > 0) & (height > 4 * clusters.p_error)
         level = dot(across, views.eye) + height - 2 * clusters.p_error
         plane = jnp.concatenate([across, -level[:, None]], -1)
-        chosen = jnp.where((~settled & (free | (share == TILTS[-1])))[:, None], plane, chosen)
+        chosen = jnp.where((~settled & (free | (share == _TILTS[-1])))[:, None], plane, chosen)
         settled = settled | free
     return chosen

@@ -30,7 +30,7 @@ _TURN = np.linalg.qr(np.array([[3.0, 1.0, 2.0], [-1.0, 4.0, 1.0], [1.0, -2.0, 5.
 """Turned by this, normals along the axes of a scene do not fall on the limits of cells."""
 _PLANES = 16
 """Most groups of parallel planes that a bin, or such a group, is split into."""
-APART = 0.2
+_APART = 0.2
 """Cosine of the angle to the mean of its cluster's rays from which a ray is set apart, 78 degrees."""
 _FLAT_SHARE = 75
 """Percent of the clusters that planes may take; the others are for what is curved."""
@@ -51,8 +51,8 @@ def label_pixels(
         options: `clusters`, `capacity`.
     Returns:
         Labels, -1 where there is no mirror ray; and how many clusters there would be without a limit.
-    Edge cases: what comes after the last cluster there is room for is merged into it. Rays that no camera of their
-        cluster can see, and that it would have none for, are in the last cluster of all, which has none.
+    Edge cases: what comes after the last cluster there is room for is merged into it. Rays that turn away from those of
+        their cluster, which would have no camera for them, are in the last cluster of all; it seldom has one.
     """
     room = max(options.capacity - 1, 1)
     if options.clusters != "split":
@@ -75,9 +75,9 @@ def set_apart(mirrors: Mirrors, label: Int[Array, "n"], *, capacity: int) -> Int
     Returns:
         Labels; those given, if there is room for one cluster alone.
     """
-    for _ in range(_TWICE):
+    for _ in range(2):  # once more with the means of those that are left
         mean = normalise(sums(label, mirrors.wi, capacity))
-        away = (label >= 0) & (dot(mirrors.wi, mean[label]) < APART)
+        away = (label >= 0) & (dot(mirrors.wi, mean[label]) < _APART)
         label = jnp.where(away, capacity - 1, label)
     return label
 
@@ -95,7 +95,7 @@ def by_reflector(mirrors: Mirrors, *, objects: int, capacity: int) -> tuple[Int[
     Edge cases: flat pixels that are few, or fewer than others with about their normal, count as curved: so do the
         middles of a sphere's triangles, and planes there is no room for.
     """
-    side = min(_SIDE, math.isqrt(_CELLS // objects))
+    side = max(min(_SIDE, math.isqrt(_CELLS // objects)), 1)
     column, row = octahedral_cell(mirrors.normal @ _TURN, side)
     plane, planes = (mirrors.object * side + row) * side + column, objects * side * side
     flat = mirrors.valid & mirrors.flat
