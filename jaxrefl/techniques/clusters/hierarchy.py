@@ -158,7 +158,7 @@ def _follow_block(planes: Texels, pyramid: Pyramid, lines: Lines, view: Array, a
         passes = (level > 0) & (jump > 0) & _nothing_met(pyramid, lines, view, number, at, level, jump, walk)
         now_at, was_at = share_at(number, at + 1), share_at(number, at)
         met = meet(
-            plane_at(planes, lines, number, at + 1), plane_at(planes, lines, number, at), was_at, now_at, walk.front
+            lines, plane_at(planes, lines, number, at + 1), plane_at(planes, lines, number, at), was_at, now_at, walk.front
         )
         single = going & (level == 0)
         hit = single & met.hit

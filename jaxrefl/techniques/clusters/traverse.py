@@ -264,10 +264,13 @@ class Meeting(NamedTuple):
     """It was before all that is shown and is now behind it, and went through neither plane."""
 
 
-def meet(plane: Array, plane_before: Array, was_at: Array, now_at: Array, front: Array) -> Meeting:
+def meet(
+    lines: Lines, plane: Array, plane_before: Array, was_at: Array, now_at: Array, front: Array
+) -> Meeting:  # fmt: skip
     """What happens in one step.
 
     Args:
+        lines: Images of the rays.
         plane: Of the texel the ray comes to, as `plane_at` has it.
         plane_before: Of the texel it comes from.
         was_at: Share of the ray's length before the step.
@@ -279,13 +282,24 @@ def meet(plane: Array, plane_before: Array, was_at: Array, now_at: Array, front:
     a, b = jnp.real(plane), jnp.imag(plane)
     c, d = jnp.real(plane_before), jnp.imag(plane_before)
     now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
+    through = front & (old_now <= 0)  # it is before that plane at first: it was before all that is shown
+    part_before = old_was / jnp.where(through & (old_was > old_now), old_was - old_now, 1)
+    place_before = was_at + (now_at - was_at) * jnp.clip(part_before, 0, 1)
+    # Within the texel that shows the plane there is nothing beyond it, whatever the next texel shows.
+    within = through & _same_texel(lines, was_at, place_before)
     crossed = front & (now <= 0)
-    here = crossed & (was > 0)
-    there = crossed & ~here & (old_now <= 0)
+    here = crossed & (was > 0) & ~within
+    there = within | (crossed & ~here & through)
+    part = was / jnp.where(here, was - now, 1)
+    place = jnp.where(here, was_at + (now_at - was_at) * part, place_before)
     hit = here | there
-    old_part = jnp.maximum(old_was, 0) / jnp.where(there & (old_was > old_now), old_was - old_now, 1)
-    part = jnp.where(here, was / jnp.where(here, was - now, 1), old_part)
-    return Meeting(hit, there, was_at + (now_at - was_at) * part, now > 0, crossed & ~hit)
+    return Meeting(hit, there, place, now > 0, crossed & ~hit)
+
+
+def _same_texel(lines: Lines, a: Array, b: Array) -> Bool[Array, "n"]:
+    """Whether two places on rays' images are in one texel."""
+    (xa, ya), (xb, yb) = place_on(lines, a), place_on(lines, b)
+    return (xa == xb) & (ya == yb)
 
 
 def _advance(planes: Texels, lines: Lines, number: Array, walk: Walk, step: Array, count: int) -> Walk:
@@ -301,7 +315,7 @@ def _advance(planes: Texels, lines: Lines, number: Array, walk: Walk, step: Arra
         step = ahead - 1
         now_at, was_at = share_at(number, step), share_at(number, step - 1)
         going = ~walk.done
-        met = meet(walk.plane, walk.plane_before, was_at, now_at, walk.front)
+        met = meet(lines, walk.plane, walk.plane_before, was_at, now_at, walk.front)
         hit = going & met.hit
         return ahead + 1, Walk(
             plane=plane_at(planes, lines, number, ahead),
