@@ -162,7 +162,8 @@ def follow(
         behind what is seen, further than rounding explains, starts hidden.
     Source: [WXKP14] §3.4.
     Differs from the source: it takes any crossing of the two polylines for a hit, that of the step from the
-        background to an object before it too; here both texels' planes are asked first.
+        background to an object before it too; here both texels' planes are asked first, and a crossing within the
+        texel that shows the plane counts though the next texel shows what is far behind it.
     """
     planes = texels_of(plane, begin)
     n = active.shape[0]
