@@ -157,9 +157,8 @@ def _follow_block(planes: Texels, pyramid: Pyramid, lines: Lines, view: Array, a
         jump = jnp.floor(jnp.exp2(level.astype(jnp.float32)) * per_texel).astype(jnp.int32)
         passes = (level > 0) & (jump > 0) & _nothing_met(pyramid, lines, view, number, at, level, jump, walk)
         now_at, was_at = share_at(number, at + 1), share_at(number, at)
-        met = meet(
-            lines, plane_at(planes, lines, number, at + 1), plane_at(planes, lines, number, at), was_at, now_at, walk.front
-        )
+        before, ahead = plane_at(planes, lines, number, at), plane_at(planes, lines, number, at + 1)
+        met = meet(lines, ahead, before, was_at, now_at, walk.front)
         single = going & (level == 0)
         hit = single & met.hit
         moved = jnp.where(passes, jump, jnp.where(level == 0, 1, 0))
