@@ -41,7 +41,7 @@ class Crossing(eqx.Module):
     texel: Int[Array, "n"]
     """The texel whose plane was hit, in the list of all; 0 where none was."""
     steps: Int[Array, "n"]
-    """Steps taken."""
+    """Steps from the first texel to the one whose plane was hit; all that were taken where none was."""
 
 
 class Lines(eqx.Module):
