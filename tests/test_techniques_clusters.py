@@ -92,7 +92,7 @@ def test_images_begin_where_rays_start(maker: str):
     faces = np.concatenate([shape.faces, QUAD + len(shape.vertices), QUAD[:, ::-1] + len(shape.vertices)])
     normals = np.concatenate([shape.normals, np.tile([0.0, 0.0, -1.0], (4, 1))])
     vertices = np.concatenate([shape.vertices, plate])
-    frame = room(dataclasses.replace(shape, vertices=vertices, faces=faces, normals=normals))
+    frame = room(dataclasses.replace(shape, vertices=vertices, faces=faces, normals=normals), size=(128, 96))
     truth, _ = run(raytrace, frame)
     hidden, off = [], []
     for near in ("behind", "pixels"):
