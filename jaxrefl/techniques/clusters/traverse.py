@@ -283,7 +283,7 @@ def meet(
     a, b = jnp.real(plane), jnp.imag(plane)
     c, d = jnp.real(plane_before), jnp.imag(plane_before)
     now, was, old_now, old_was = a + b * now_at, a + b * was_at, c + d * now_at, c + d * was_at
-    through = front & (old_now <= 0)  # it is before that plane at first: it was before all that is shown
+    through = front & (old_now <= 0)  # what is before all that is shown begins the step before this plane too
     part_before = old_was / jnp.where(through & (old_was > old_now), old_was - old_now, 1)
     place_before = was_at + (now_at - was_at) * jnp.clip(part_before, 0, 1)
     # Within the texel that shows the plane there is nothing beyond it, whatever the next texel shows.
